@@ -1,0 +1,45 @@
+# PlaceBench: every command makes the environment first and re-installs only when the pins change.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV := .venv
+PY := $(VENV)/bin/python
+INSTALLED := $(VENV)/.installed
+TIER ?= mini
+WORKERS ?= $(shell nproc)
+
+export DAGSTER_HOME := $(CURDIR)/.dagster_home
+export PYTHONUNBUFFERED := 1
+# One thread a process: units of work are the parallelism.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+
+.PHONY: demo dataset ui test soak check bench reproduce audit clean
+
+demo: $(INSTALLED)  ## the whole benchmark on tier mini, from objects to reports
+	$(PY) -m assets_def.build mini --workers $(WORKERS)
+
+dataset: $(INSTALLED)  ## a tier's dataset: only missing shards, resumable (TIER=mini|pilot|full)
+	$(PY) -m assets_def.build $(TIER) --workers $(WORKERS)
+
+ui: $(INSTALLED)  ## the Dagster UI on this checkout
+	$(VENV)/bin/dagster dev -m assets_def.definitions
+
+test: $(INSTALLED)
+	$(PY) -m pytest -m "not slow"
+
+soak: $(INSTALLED)  ## the slow tests too
+	$(PY) -m pytest
+
+check: $(INSTALLED)
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy
+	$(VENV)/bin/lint-imports
+	$(VENV)/bin/dagster definitions validate -m assets_def.definitions
+
+$(INSTALLED): pyproject.toml constraints.txt
+	test -x $(PY) || $(PYTHON) -m venv $(VENV)
+	$(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+clean:  ## generated data and reports, not the environment
+	rm -rf data reports/out

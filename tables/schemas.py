@@ -1,0 +1,173 @@
+"""Every table of the benchmark: what its rows are, its key, and each column's type, unit and meaning."""
+
+from __future__ import annotations
+
+from tables.columns import TableSchema, enum, flag, integer, integers, joints, plain, pose, real, reals, single, text
+from tables.vocabulary import AdmissionStatus, Category, ExecStatus, LiftStatus, Perturbation, PlanStatus, PointType, Split, Symmetry
+
+SCHEMA_VERSION = "1.0.0"
+
+_SCENE_ID = text("scene_id", "scene, also the scene group")
+_OBJECT_ID = text("object_id", "catalogue object")
+_CATEGORY = enum("category", Category, "kind of object")
+_N_OBSTACLES = integer("n_obstacles", "box obstacles in the scene: 0, 1 or 2")
+_TARGET_ID = integer("target_id", "target of the scene, 0 to 7")
+_GRASP_ID = integer("grasp_id", "grasp of the object's pool, fixed for ever")
+_CANDIDATE_ID = plain("candidate_id", "<scene_id>-t<target_id>-g<grasp_id>")
+_STABLE_POSE_ID = integer("stable_pose_id", "stable pose of the object")
+
+OBJECTS = TableSchema("objects", "one row per catalogue object", ("object_id",), (
+    _OBJECT_ID, _CATEGORY,
+    text("name", "product the dimensions are taken from"), text("source", "where dimensions and mass come from"),
+    real("size_x_m", "extent of the mesh along object x", "m"), real("size_y_m", "extent along object y", "m"), real("size_z_m", "extent along object z", "m"),
+    real("mass_kg", "mass", "kg"), real("friction", "lateral friction coefficient (multiplied pairwise by the engine)"),
+    real("com_x_m", "centre of mass in the object frame (x)", "m"), real("com_y_m", "centre of mass in the object frame (y)", "m"), real("com_z_m", "centre of mass in the object frame (z)", "m"),
+    real("ixx_kg_m2", "inertia about the centre of mass, object axes", "kg m2"), real("iyy_kg_m2", "inertia", "kg m2"), real("izz_kg_m2", "inertia", "kg m2"),
+    real("ixy_kg_m2", "product of inertia", "kg m2"), real("ixz_kg_m2", "product of inertia", "kg m2"), real("iyz_kg_m2", "product of inertia", "kg m2"),
+    enum("symmetry", Symmetry, "rotational symmetry used by stable poses and validation"),
+    real("mesh_volume_m3", "volume of the watertight mesh", "m3"), real("hull_volume_ratio", "total volume of the convex parts over the mesh volume"),
+    real("cavity_fill", "share of a mug's cavity that the convex parts fill", nullable=True), real("handle_hole_fill", "share of a mug's handle hole that the convex parts fill", nullable=True),
+    real("min_graspable_width_m", "smallest width between parallel jaws over all pool grasps", "m"),
+    plain("mesh_sha256", "hash of vertices and faces"), plain("parts_sha256", "hash of the convex parts"),
+))
+
+OBJECT_MESHES = TableSchema("object_meshes", "the watertight triangle mesh of each object, object frame", ("object_id",), (
+    _OBJECT_ID, reals("vertices_m", "x, y, z of each vertex, flat", "m"), integers("faces", "three vertex numbers a face, flat"),
+))
+
+OBJECT_PARTS = TableSchema("object_parts", "the convex parts of each object, object frame", ("object_id", "part_id"), (
+    _OBJECT_ID, integer("part_id", "part of the object"), reals("vertices_m", "x, y, z of each hull vertex, flat", "m"), integers("faces", "three vertex numbers a face, flat"),
+))
+
+STABLE_POSES = TableSchema("stable_poses", "resting poses of each object on a horizontal plane, merged by symmetry", ("object_id", "stable_pose_id"), (
+    _OBJECT_ID, _STABLE_POSE_ID, text("resting", "name of the pose: upright, inverted, lying, on_handle, face_x, ..."),
+    real("probability", "share of random drops that come to rest in this pose"),
+    *pose("rest", "T_plane_object: object frame in the plane's frame, x = y = 0"),
+))
+
+GRASP_POOL = TableSchema("grasp_pool", "antipodal grasps of each object, object frame", ("object_id", "grasp_id"), (
+    _OBJECT_ID, _GRASP_ID, text("grasp_kind", "where the fingers close: side, top, rim, handle, body, face_x, ..."),
+    *pose("objectgrasp", "T_object_grasp: TCP frame in the object frame"),
+    real("jaw_width_m", "distance between the two contacts", "m"),
+    real("cone_margin_rad", "friction-cone half angle minus the larger contact angle", "rad"),
+    real("com_distance_m", "distance of the centre of mass from the line between the contacts", "m"),
+))
+
+SCENES = TableSchema("scenes", "one object at its initial pose, its obstacle count", ("scene_id",), (
+    _SCENE_ID, integer("scene_index", "number of the scene in its family"), _OBJECT_ID, _CATEGORY, _N_OBSTACLES, _STABLE_POSE_ID,
+    *pose("object", "T_base_object: settled initial object pose"), integer("n_attempts", "draws of the whole scene until one was valid"),
+))
+
+SCENE_ATTEMPTS = TableSchema("scene_attempts", "every draw of scene sampling that was rejected, and why", ("scene_id", "attempt", "item", "draw"), (
+    _SCENE_ID, integer("attempt", "scene draw"), text("item", "object, obstacle-<k> or target-<k>"), integer("draw", "draw of this item"), text("reason", "why it was redrawn"),
+))
+
+OBSTACLES = TableSchema("obstacles", "box obstacles", ("scene_id", "obstacle_id"), (
+    _SCENE_ID, integer("obstacle_id", "obstacle of the scene"), *pose("obstacle", "T_base_obstacle: box centre"),
+    real("size_x_m", "box edge along its x", "m"), real("size_y_m", "box edge along its y", "m"), real("size_z_m", "box edge along its z", "m"),
+))
+
+TARGETS = TableSchema("targets", "requested object poses", ("scene_id", "target_id"), (
+    _SCENE_ID, _TARGET_ID, _STABLE_POSE_ID, text("resting", "name of the stable pose"), *pose("target", "T_base_target: requested object pose"),
+    real("rest_drift_m", "how far the object moved when left there alone", "m"), real("rest_drift_rad", "how far it turned, modulo symmetry", "rad"),
+))
+
+SCENE_POINTS = TableSchema("scene_points", "typed point cloud of the initial scene from two depth views, base frame", ("scene_id", "point"), (
+    _SCENE_ID, integer("point", "number of the point"), enum("point_type", PointType, "what the point lies on"),
+    single("x_m", "base frame", "m"), single("y_m", "base frame", "m"), single("z_m", "base frame", "m"),
+))
+
+_ADMISSION = (
+    enum("admission_status", AdmissionStatus, "outcome of geometric admission"),
+    *pose("grasp", "T_base_grasp: TCP at the grasp"),
+    *joints("pregrasp_q", "arm at the pregrasp pose", nullable=True), *joints("grasp_q", "arm at the grasp", nullable=True),
+    integer("n_ik", "collision-free inverse-kinematics solutions at the grasp that were tried", nullable=True),
+)
+_LIFT = (
+    enum("lift_status", LiftStatus, "outcome of the physics pick-lift check", nullable=True),
+    real("lift_slip_m", "motion of the object in the hand from closing to the end of the hold", "m", nullable=True),
+    real("lift_slip_rad", "turn of the object in the hand from closing to the end of the hold", "rad", nullable=True),
+    *joints("lifted_q", "arm after the hold, measured", nullable=True),
+    real("lifted_finger_left_m", "left finger joint after the hold", "m", nullable=True), real("lifted_finger_right_m", "right finger joint after the hold", "m", nullable=True),
+    *pose("lifted", "T_base_object after the hold, measured", nullable=True),
+    *pose("inhand", "T_tcp_object after the hold, measured; supervision only", nullable=True),
+)
+
+GRASP_ADMISSION = TableSchema("grasp_admission", "every pool grasp in every scene and why it was or was not admitted", ("scene_id", "grasp_id"), (_SCENE_ID, _GRASP_ID, *_ADMISSION))
+
+PICK_LIFT = TableSchema("pick_lift", "every admitted grasp and what physics said", ("scene_id", "grasp_id"), (_SCENE_ID, _GRASP_ID, *_LIFT))
+
+GRASPS = TableSchema("grasps", "admission and pick-lift outcome of every pool grasp in every scene", ("scene_id", "grasp_id"), (
+    _SCENE_ID, _GRASP_ID, _OBJECT_ID, text("grasp_kind", "where the fingers close"), *_ADMISSION, *_LIFT,
+))
+
+CANDIDATE_PAIRS = TableSchema("candidate_pairs", "every lifted grasp with every target", ("scene_id", "target_id", "grasp_id"), (
+    _CANDIDATE_ID, _SCENE_ID, _TARGET_ID, _GRASP_ID, _OBJECT_ID, _CATEGORY, _N_OBSTACLES,
+))
+
+_PLANNING = (
+    flag("y_plan", "a complete placement motion was found"), enum("plan_status", PlanStatus, "outcome of planning"),
+    real("min_clearance_m", "smallest distance of arm, hand or object to anything along the transport path", "m", nullable=True),
+    integer("n_goals", "collision-free goal configurations kept"), integer("n_checks", "configurations checked for collision"),
+    real("plan_duration_s", "timed duration of transport, descend and retreat", "s", nullable=True),
+    real("path_length_rad", "joint-space length of the transport path", "rad", nullable=True),
+    integer("n_waypoints", "waypoints of the transport path", nullable=True),
+    flag("used_search", "RRTConnect was needed because direct interpolation was blocked"),
+)
+
+PLANNING_LABELS = TableSchema("planning_labels", "planning outcome of every candidate", ("candidate_id",), (_CANDIDATE_ID, *_PLANNING))
+
+PLANS = TableSchema("plans", "what is needed to rebuild the motion of a solved candidate exactly", ("candidate_id",), (
+    _CANDIDATE_ID, reals("transport_q_rad", "waypoints from post-lift to pre-place, 7 values each, flat", "rad"),
+    reals("descend_q_rad", "waypoints from pre-place to place, 7 values each, flat", "rad"), reals("retreat_q_rad", "waypoints from place to the retreat pose, 7 values each, flat", "rad"),
+))
+
+POLICY_FEATURES = TableSchema("policy_features", "what the endpoint baselines know about a candidate", ("candidate_id",), (
+    _CANDIDATE_ID, flag("ik_feasible", "the place pose has an inverse-kinematics solution, collisions ignored"),
+    flag("gripper_free", "hand and fingers at the place pose are free of table and obstacles"),
+))
+
+_EXECUTION = (
+    flag("y_pipe", "the executed plan ended in a valid final pose; null where no plan exists", nullable=True),
+    enum("exec_status", ExecStatus, "outcome of execution; null where no plan exists", nullable=True),
+    real("final_position_error_m", "distance of the final object pose from the target", "m", nullable=True),
+    real("final_rotation_error_rad", "turn of the final object pose from the target, modulo symmetry", "rad", nullable=True),
+    real("tolerance_margin", "1 minus the larger of the two errors over its tolerance; negative is off target", nullable=True),
+    real("transport_slip_m", "largest motion of the object in the hand before release", "m", nullable=True),
+    real("transport_slip_rad", "largest turn of the object in the hand before release", "rad", nullable=True),
+    real("release_position_error_m", "distance from the target when the fingers start to open", "m", nullable=True),
+    real("release_rotation_error_rad", "turn from the target when the fingers start to open, modulo symmetry", "rad", nullable=True),
+    real("retreat_drag_m", "object motion between the fingers' opening and the end of the retreat", "m", nullable=True),
+    integer("n_physics_steps", "physics steps simulated", nullable=True),
+    *pose("final", "T_base_object at the end, measured", nullable=True),
+)
+
+EXECUTION_LABELS = TableSchema("execution_labels", "execution outcome of every planned candidate", ("candidate_id",), (_CANDIDATE_ID, *_EXECUTION))
+
+CANDIDATES = TableSchema("candidates", "the benchmark: every candidate with both labels", ("scene_id", "target_id", "grasp_id"), (*CANDIDATE_PAIRS.columns, *_PLANNING, *_EXECUTION))
+
+SPLITS = TableSchema("splits", "who may see which scene group", ("scene_id",), (_SCENE_ID, enum("split", Split, "train, validation or test")))
+
+ATTEMPTS = TableSchema("attempts", "repeat executions of candidates, under a perturbation or in a fresh process", ("candidate_id", "perturbation", "repeat"), (
+    _CANDIDATE_ID, enum("perturbation", Perturbation, "what was changed"), integer("repeat", "number of the repeat"),
+    enum("plan_status", PlanStatus, "outcome of planning in the repeat"), enum("exec_status", ExecStatus, "outcome of execution in the repeat", nullable=True),
+    real("final_position_error_m", "position error in the repeat", "m", nullable=True), real("final_rotation_error_rad", "rotation error in the repeat", "rad", nullable=True),
+    flag("plan_matches", "planning outcome equals the stored one"), flag("exec_matches", "execution status equals the stored one, or both are null"),
+    flag("is_identical", "every stored label column is bit-identical"),
+))
+
+PREDICTIONS = TableSchema("predictions", "what a trained ranker says of every candidate", ("variant", "seed", "candidate_id"), (
+    text("variant", "full, direct, no_object_relative or no_target_hypothesis"), integer("seed", "training seed"), _CANDIDATE_ID,
+    real("log_p_plan", "log probability that a plan exists"), real("log_p_exec", "log probability of success given a plan"), real("score", "ranking score: their sum"),
+))
+
+TIMINGS = TableSchema("timings", "core time of each unit of work; never part of a hashed release", ("stage", "item_id"), (
+    text("stage", "stage that spent the time"), plain("item_id", "scene, grasp or candidate"), real("core_ms", "CPU time of the worker", "ms"),
+))
+
+LABEL_COLUMNS = tuple(column.name for column in (*_PLANNING, *_EXECUTION))
+
+ALL_SCHEMAS = {schema.name: schema for schema in (
+    OBJECTS, OBJECT_MESHES, OBJECT_PARTS, STABLE_POSES, GRASP_POOL, SCENES, SCENE_ATTEMPTS, OBSTACLES, TARGETS, SCENE_POINTS, GRASP_ADMISSION, PICK_LIFT, GRASPS,
+    CANDIDATE_PAIRS, PLANNING_LABELS, PLANS, POLICY_FEATURES, EXECUTION_LABELS, CANDIDATES, SPLITS, ATTEMPTS, PREDICTIONS, TIMINGS,
+)}  # fmt: skip

@@ -1,0 +1,99 @@
+"""The closed enums of every status and kind that a table may hold; a value outside them is a bug, not data."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Category(StrEnum):
+    """What an object is; `mesh` marks a user's own mesh file."""
+
+    CAN = "can"
+    MUG = "mug"
+    CUBOID = "cuboid"
+    MESH = "mesh"
+
+
+class Symmetry(StrEnum):
+    """Rotations that leave the object unchanged, as validation and stable poses see it."""
+
+    NONE = "none"
+    REVOLUTION_Z = "revolution_z"  # any rotation about the object's z axis
+    BOX = "box"  # half turns about the three axes
+
+
+class PointType(StrEnum):
+    """What a scene point lies on; the target copy is made from `object` points, never stored."""
+
+    ENVIRONMENT = "environment"
+    OBJECT = "object"
+    OBSTACLE = "obstacle"
+
+
+class AdmissionStatus(StrEnum):
+    """Outcome of geometric grasp admission, in the order the tests run."""
+
+    ADMITTED = "admitted"
+    PALM_CONTACT = "palm_contact"
+    SCENE_COLLISION = "scene_collision"  # hand or fingers against table or obstacles along the approach
+    OBJECT_COLLISION = "object_collision"  # open hand against the object along the approach
+    NO_IK = "no_ik"
+    ARM_COLLISION = "arm_collision"
+    APPROACH_BLOCKED = "approach_blocked"  # straight approach not continuous or in collision
+    LIFT_BLOCKED = "lift_blocked"  # vertical lift not reachable, not continuous or in collision
+    NOT_NEEDED = "not_needed"  # would pass, but the scene already has its quota
+
+
+class LiftStatus(StrEnum):
+    """Outcome of the physics pick-lift check of an admitted grasp."""
+
+    LIFTED = "lifted"
+    NOT_LIFTED = "not_lifted"
+    LOST_FINGER = "lost_finger"  # held by one finger only
+    SLIPPED = "slipped"
+    DISTURBED = "disturbed"  # object pushed away before the fingers closed
+
+
+class PlanStatus(StrEnum):
+    """Outcome of planning a placement motion, in the order the tests run."""
+
+    SOLVED = "solved"
+    PLACE_COLLISION = "place_pose_in_collision"
+    NO_IK = "no_ik"
+    IK_COLLISION = "ik_in_collision"
+    DESCEND_BLOCKED = "descend_blocked"
+    RETREAT_BLOCKED = "retreat_blocked"
+    START_COLLISION = "start_in_collision"
+    BUDGET_SPENT = "budget_spent"
+
+
+class ExecStatus(StrEnum):
+    """Outcome of executing a planned placement in physics; the first that applies, in this order, but success."""
+
+    SUCCESS = "success"
+    DROPPED = "dropped_in_transport"
+    SLIPPED = "slipped_in_hand"
+    COLLIDED = "collided"
+    OFF_TABLE = "left_the_table"
+    DRAGGED = "dragged_on_retreat"
+    TOPPLED = "toppled_at_release"
+    NOT_SETTLED = "not_settled"
+    OFF_TARGET = "off_target"
+
+
+class Split(StrEnum):
+    """Who may see a scene group."""
+
+    TRAIN = "train"
+    VALIDATION = "validation"
+    TEST = "test"
+
+
+class Perturbation(StrEnum):
+    """How a repeat execution differs from the stored one."""
+
+    FRESH = "fresh_process"
+    HOLD = "hold_0.10s"
+    FINE_STEP = "step_1/480s"
+    FRICTION_UP = "friction_+5%"
+    FRICTION_DOWN = "friction_-5%"
