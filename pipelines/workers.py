@@ -1,0 +1,94 @@
+"""Runs units of work in worker processes; what a unit does is a stage's, what is kept of it is shard_runner's.
+
+A worker that dies takes down its unit only. Nothing here decides a label: order, number of workers and restarts leave results unchanged.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass
+from typing import Any
+
+from pebble import ProcessExpired, ProcessPool
+
+# One thread a worker: the units are the parallelism, and two BLAS threads a worker would fight for the same core.
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+# Restarted after so many units, so that what an engine leaks stays bounded.
+UNITS_PER_WORKER_LIFE = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one unit: a value, or the reason why there is none."""
+
+    index: int
+    value: Any
+    error: str | None
+    core_ms: float
+
+
+def run_units(function: Callable[..., Any], units: Sequence[tuple[Any, ...]], n_workers: int) -> Iterator[Outcome]:
+    """Outcomes of `function(*unit)` for every unit, as they finish.
+
+    Args:
+        function: a module-level function, pure in its arguments.
+        units: arguments, picklable.
+        n_workers: processes; 0 runs the units in this process.
+
+    Yields:
+        One outcome a unit; an exception or a dead worker is an outcome with `error` set.
+    """
+    if n_workers < 0:
+        raise ValueError(f"n_workers is {n_workers}, must be >= 0")
+    if n_workers == 0:
+        for index, unit in enumerate(units):
+            yield _outcome(index, *_timed(function, unit))
+        return
+    with _pool(n_workers) as pool:
+        waiting: dict[Future[Any], int] = {}
+        remaining = iter(enumerate(units))
+        # A short queue: a worker never waits, and a killed run has lost little.
+        for index, unit in remaining:
+            waiting[pool.schedule(_timed, args=(function, unit))] = index
+            if len(waiting) >= 3 * n_workers:
+                yield from _finished(waiting)
+        while waiting:
+            yield from _finished(waiting)
+
+
+def _pool(n_workers: int) -> ProcessPool:
+    for name in THREAD_VARIABLES:
+        os.environ[name] = "1"
+    context = multiprocessing.get_context("forkserver")
+    # Engines are imported once in the fork server instead of once in every worker.
+    context.set_forkserver_preload(["pipelines.stages"])
+    return ProcessPool(max_workers=n_workers, max_tasks=UNITS_PER_WORKER_LIFE, context=context)
+
+
+def _finished(waiting: dict[Future[Any], int]) -> Iterator[Outcome]:
+    done, _ = wait(waiting, return_when=FIRST_COMPLETED)
+    for future in done:
+        index = waiting.pop(future)
+        try:
+            yield _outcome(index, *future.result())
+        except ProcessExpired as death:
+            yield Outcome(index, None, f"worker died with exit code {death.exitcode} (a crash in an engine)", 0.0)
+
+
+def _timed(function: Callable[..., Any], unit: tuple[Any, ...]) -> tuple[Any, str | None, float]:
+    start = time.process_time_ns()
+    value, error = None, None
+    try:
+        value = function(*unit)
+    except Exception as failure:  # the edge: every failure of a unit becomes that unit's outcome
+        error = f"{type(failure).__name__}: {failure}\n{traceback.format_exc(limit=-4)}"
+    return value, error, (time.process_time_ns() - start) / 1e6
+
+
+def _outcome(index: int, value: Any, error: str | None, core_ms: float) -> Outcome:
+    return Outcome(index, value, error, core_ms)
