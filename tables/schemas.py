@@ -107,7 +107,7 @@ CANDIDATE_PAIRS = TableSchema("candidate_pairs", "every lifted grasp with every 
 
 _PLANNING = (
     flag("y_plan", "a complete placement motion was found"), enum("plan_status", PlanStatus, "outcome of planning"),
-    real("min_clearance_m", "smallest distance of arm, hand or object to anything along the transport path", "m", nullable=True),
+    real("min_clearance_m", "smallest distance of arm, hand or object to table or obstacles along the transport path", "m", nullable=True),
     integer("n_goals", "collision-free goal configurations kept"), integer("n_checks", "configurations checked for collision"),
     real("plan_duration_s", "timed duration of transport, descend and retreat", "s", nullable=True),
     real("path_length_rad", "joint-space length of the transport path", "rad", nullable=True),

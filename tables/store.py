@@ -151,7 +151,11 @@ def read_table(schema: TableSchema, path: Path, *, verify: bool = False) -> pa.T
 
 def read_tables(schema: TableSchema, paths: Sequence[Path]) -> pa.Table:
     """Concatenate an explicit list of tables in key order; every one must exist."""
-    tables = [read_table(schema, path) for path in paths]
+    return join_tables(schema, [read_table(schema, path) for path in paths])
+
+
+def join_tables(schema: TableSchema, tables: Sequence[pa.Table]) -> pa.Table:
+    """Concatenate tables of one schema in key order; raises SchemaError where a key repeats."""
     joined = pa.concat_tables([t.cast(_undictionaried(schema)) for t in tables])
     return table_from_columns(schema, {name: joined[name] for name in schema.names})
 

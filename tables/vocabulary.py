@@ -37,6 +37,7 @@ class AdmissionStatus(StrEnum):
     PALM_CONTACT = "palm_contact"
     SCENE_COLLISION = "scene_collision"  # hand or fingers against table or obstacles along the approach
     OBJECT_COLLISION = "object_collision"  # open hand against the object along the approach
+    FINGERS_MISS = "fingers_miss"  # pads closed to the grasp's width do not reach the object
     NO_IK = "no_ik"
     ARM_COLLISION = "arm_collision"
     APPROACH_BLOCKED = "approach_blocked"  # straight approach not continuous or in collision

@@ -1,0 +1,187 @@
+"""Contact sheets for people: scenes with target ghosts, grasps at their objects, filmstrips of each outcome; nothing is judged here."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+import pyarrow as pa
+import trimesh
+from jaxtyping import UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from objects.gripper import gripper_boxes
+from objects.kit import ObjectKit, TriangleMesh, kits_from_tables
+from pipelines.filmstrip import render_execution_frames
+from pipelines.physics.camera import OBJECT_RGB, OBSTACLE_RGB, add_table, render_scene, shrunk
+from pipelines.physics.renderer import Renderer, View
+from pipelines.recipe import Recipe
+from pipelines.scene import LiftedGrasp, Row, Scene, lifted_grasps, plan_in, pose_in, rows_by, scenes_from_tables
+from reports.report import Report
+from splits.frames import frame_of
+from tables.identity import order_key, parse_candidate_id
+from tables.vocabulary import ExecStatus
+
+_TILE_PX = (400, 300)
+_FRAME_PX = (240, 180)
+_N_FRAMES = 6
+_N_SCENES = 12
+_N_GRASPS_DRAWN = 8
+_GRASP_RGBS = ((0.0, 0.45, 0.70), (0.90, 0.62, 0.0), (0.0, 0.62, 0.45), (0.80, 0.47, 0.65), (0.34, 0.71, 0.91), (0.84, 0.37, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class _Tile:
+    """A picture and the line under it."""
+
+    picture: UInt8[np.ndarray, "h w 3"]
+    caption: str
+
+
+def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe, *, tier: str, n_films: int) -> Report:
+    """Report `gallery`: what a release looks like.
+
+    Args:
+        tables: a release with `objects`, `object_meshes`, `object_parts`, `stable_poses`, `grasp_pool`, `scenes`, `obstacles`, `targets`,
+            `grasps`, `candidates` and `plans`.
+        recipe: what the labels were made with; films run each execution again.
+        n_films: filmstrips of each execution status, chosen by the hash of the candidate id.
+    """
+    kits = kits_from_tables(*(tables[name] for name in ("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool")))
+    scenes = scenes_from_tables(tables["scenes"], tables["obstacles"], tables["targets"])
+    grasps = rows_by(tables["grasps"], "scene_id")
+    figures = {
+        "gallery-scenes": _sheet([_scene_tile(scenes[name], kits) for name in sorted(scenes)[:_N_SCENES]], 4),
+        "gallery-grasps": _sheet([_grasp_tile(scene, kits, grasps[scene.scene_id]) for scene in _one_an_object(scenes)[:_N_SCENES]], 4),
+    }
+    blocks = [
+        f"# Gallery of tier {tier}",
+        "Everything is rendered from the release's tables; films run the stored plan again, as the label was made.",
+        "## Scenes\n\nObject blue, obstacles brown, the eight targets as green ghosts.",
+        "![Scenes](gallery-scenes.png)",
+        f"## Lifted grasps\n\nUp to {_N_GRASPS_DRAWN} of the grasps that passed the pick-lift check, at the object's initial pose.",
+        "![Grasps](gallery-grasps.png)",
+    ]
+    for status, strips in _films(tables, recipe, kits, scenes, grasps, n_films).items():
+        figures[f"gallery-{status}"] = _sheet(strips, _N_FRAMES)
+        blocks += [f"## Executions that ended as {status.replace('_', ' ')}", f"![{status}](gallery-{status}.png)"]
+    return Report("gallery", "\n\n".join(blocks) + "\n", figures)
+
+
+def _one_an_object(scenes: Mapping[str, Scene]) -> list[Scene]:
+    first: dict[str, Scene] = {}
+    for name in sorted(scenes):
+        first.setdefault(scenes[name].object_id, scenes[name])
+    return list(first.values())
+
+
+def _scene_tile(scene: Scene, kits: Mapping[str, ObjectKit]) -> _Tile:
+    return _Tile(render_scene(kits[scene.object_id], scene, _TILE_PX), f"{scene.scene_id} {scene.object_id}")
+
+
+def _grasp_tile(scene: Scene, kits: Mapping[str, ObjectKit], rows: Sequence[Row]) -> _Tile:
+    """The object in close-up with grippers at the lifted grasps, spread over the pool."""
+    kit = kits[scene.object_id]
+    lifted = [row for row in sorted(rows, key=lambda row: row["grasp_id"]) if row["lift_status"] == "lifted"]
+    drawn = lifted[:: max(1, len(lifted) // _N_GRASPS_DRAWN)][:_N_GRASPS_DRAWN]
+    widths_m = {grasp.grasp_id: grasp.jaw_width_m for grasp in kit.grasps}
+    x, y, z = scene.T_base_object[:3, 3]
+    view = View((x - 0.30, y + 0.38, z + 0.33), (x, y, z + 0.02), 40.0, 2 * _TILE_PX[0], 2 * _TILE_PX[1])
+    with Renderer() as renderer:
+        add_table(renderer)
+        renderer.add_mesh(kit.mesh, scene.T_base_object, OBJECT_RGB)
+        for obstacle in scene.obstacles:
+            renderer.add_box(obstacle.size_m, obstacle.T_base_obstacle, OBSTACLE_RGB)
+        for k, row in enumerate(drawn):
+            glyph = _gripper_glyph(min(widths_m[row["grasp_id"]] + 0.004, 0.08))
+            renderer.add_mesh(glyph, pose_in(row, "grasp"), _GRASP_RGBS[k % len(_GRASP_RGBS)])
+        picture = shrunk(renderer.photograph(view).rgb.astype(np.float64))
+    return _Tile(picture, f"{scene.object_id}: {len(drawn)} of {len(lifted)} lifted grasps")
+
+
+def _gripper_glyph(jaw_m: float) -> TriangleMesh:
+    """A slender gripper: finger boxes and a bar for the hand, a quarter as thick as the real ones so that several can be told apart."""
+    T_tcp_box, size_m = gripper_boxes(jaw_m)
+    parts = []
+    for k, (T, size) in enumerate(zip(T_tcp_box, size_m, strict=True)):
+        extents = size * ((0.25, jaw_m / size[1] + 0.2, 0.06) if k == 0 else (0.25, 0.25, 1.0))
+        placed = T.copy()
+        if k == 0:
+            placed[2, 3] += size[2] / 2 - extents[2] / 2
+        parts.append(trimesh.creation.box(extents=extents, transform=placed))
+    glyph = trimesh.util.concatenate(parts)
+    return TriangleMesh(np.asarray(glyph.vertices), np.asarray(glyph.faces, dtype=np.int64))
+
+
+def _films(
+    tables: Mapping[str, pa.Table],
+    recipe: Recipe,
+    kits: Mapping[str, ObjectKit],
+    scenes: Mapping[str, Scene],
+    grasps: Mapping[str, list[Row]],
+    n_films: int,
+) -> dict[str, list[_Tile]]:
+    executed = frame_of(tables["candidates"], ["candidate_id", "exec_status"]).filter(pl.col("exec_status").is_not_null())
+    by_status = {status: executed.filter(pl.col("exec_status") == status.value)["candidate_id"].to_list() for status in ExecStatus}
+    chosen = {
+        status.value: sorted(names, key=lambda name: order_key(recipe.seed, "gallery", name))[:n_films]
+        for status, names in by_status.items()
+        if names
+    }
+    wanted = {name for names in chosen.values() for name in names}
+    plans = {row["candidate_id"]: row for row in tables["plans"].to_pylist() if row["candidate_id"] in wanted}
+    return {
+        status: [tile for name in names for tile in _film(name, plans[name], recipe, kits, scenes, grasps)]
+        for status, names in chosen.items()
+    }
+
+
+def _film(
+    candidate_id: str,
+    plan: Row,
+    recipe: Recipe,
+    kits: Mapping[str, ObjectKit],
+    scenes: Mapping[str, Scene],
+    grasps: Mapping[str, list[Row]],
+) -> list[_Tile]:
+    candidate = parse_candidate_id(candidate_id)
+    scene = scenes[candidate.scene_id]
+    grasp = _lifted(grasps[candidate.scene_id], candidate.grasp_id)
+    _, frames = render_execution_frames(
+        kits[scene.object_id],
+        scene,
+        grasp,
+        candidate.target_id,
+        plan_in(plan),
+        recipe.execution,
+        recipe.motion,
+        recipe.physics,
+        n_frames=_N_FRAMES,
+        size_px=_FRAME_PX,
+    )
+    tiles = [_Tile(frame.picture, f"{frame.phase.value} {frame.time_s:.2f} s") for frame in frames]
+    return [_Tile(tiles[0].picture, f"{candidate_id} {tiles[0].caption}"), *tiles[1:]]
+
+
+def _lifted(rows: Sequence[Row], grasp_id: int) -> LiftedGrasp:
+    return next(grasp for grasp in lifted_grasps(rows) if grasp.grasp_id == grasp_id)
+
+
+def _sheet(tiles: Sequence[_Tile], n_columns: int) -> bytes:
+    """PNG of tiles in rows, each with its caption below."""
+    height, width = tiles[0].picture.shape[:2]
+    strip_px = 20
+    n_rows = -(-len(tiles) // n_columns)
+    sheet = Image.new("RGB", (n_columns * width, n_rows * (height + strip_px)), "white")
+    pen = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(13)
+    for k, tile in enumerate(tiles):
+        x, y = (k % n_columns) * width, (k // n_columns) * (height + strip_px)
+        sheet.paste(Image.fromarray(tile.picture), (x, y))
+        pen.text((x + 4, y + height + 2), tile.caption, fill="black", font=font)
+    out = io.BytesIO()
+    sheet.save(out, "PNG", optimize=True)
+    return out.getvalue()

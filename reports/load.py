@@ -1,0 +1,97 @@
+"""A release as the reports query it: tables by name, one frame of candidates, one frame of groups; no number is made here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+from pathlib import Path
+
+import polars as pl
+import pyarrow as pa
+
+from reports.report import ReportError
+from splits.frames import frame_of
+from splits.manifest import MEASUREMENTS
+from splits.release import REQUIRED_TABLES
+from tables.identity import order_key
+from tables.schemas import ALL_SCHEMAS
+from tables.store import read_table
+
+_OPTIONAL_TABLES = (*MEASUREMENTS, "attempts")
+
+_CANDIDATE_COLUMNS = (
+    "candidate_id",
+    "scene_id",
+    "target_id",
+    "grasp_id",
+    "object_id",
+    "category",
+    "n_obstacles",
+    "y_plan",
+    "plan_status",
+    "plan_duration_s",
+    "y_pipe",
+    "exec_status",
+    "tolerance_margin",
+)
+
+
+class Task(StrEnum):
+    """What is ranked together."""
+
+    JOINT = "joint"  # all candidates of a scene
+    FIXED = "fixed"  # those of one scene and one target
+
+    @property
+    def group(self) -> list[str]:
+        """Columns that name a group."""
+        return ["scene_id"] if self is Task.JOINT else ["scene_id", "target_id"]
+
+
+def load_release(directory: Path, names: Sequence[str] | None = None) -> dict[str, pa.Table]:
+    """Tables of a release folder: those named, or all that a release must hold and the optional ones that are there."""
+    if names is None:
+        present = [name for name in _OPTIONAL_TABLES if (directory / f"{name}.parquet").exists()]
+        names = [*REQUIRED_TABLES, *present]
+    return {name: read_table(ALL_SCHEMAS[name], directory / f"{name}.parquet") for name in names}
+
+
+def candidate_frame(tables: Mapping[str, pa.Table], seed: int) -> pl.DataFrame:
+    """One row a candidate: labels, split, resting pose of its target, endpoint features, and a random order that is its own.
+
+    Columns beyond those of `candidates`: `split`, `resting`, `ik_feasible`, `gripper_free`, `success` (planned and executed validly)
+    and `hash_order`, which breaks every tie, so that the order of rows never decides anything.
+
+    Args:
+        tables: at least `candidates`, `splits`, `targets`, `policy_features`.
+        seed: seed of the hash order.
+
+    Raises:
+        ReportError: a candidate without split, target or features.
+    """
+    frame = (
+        frame_of(tables["candidates"], _CANDIDATE_COLUMNS)
+        .join(frame_of(tables["splits"]), on="scene_id", how="left")
+        .join(frame_of(tables["targets"], ["scene_id", "target_id", "resting"]), on=["scene_id", "target_id"], how="left")
+        .join(frame_of(tables["policy_features"]), on="candidate_id", how="left")
+    )
+    for column, table in (("split", "splits"), ("resting", "targets"), ("ik_feasible", "policy_features")):
+        lost = frame.filter(pl.col(column).is_null())
+        if not lost.is_empty():
+            raise ReportError(f"{table}: {lost['candidate_id'].sort()[0]} has no row ({lost.height} candidates have none, must be 0)")
+    orders = [order_key(seed, "policy_order", candidate_id) for candidate_id in frame["candidate_id"]]
+    return frame.with_columns(
+        (pl.col("y_plan") & pl.col("y_pipe").fill_null(False)).alias("success"),
+        pl.Series("hash_order", orders, dtype=pl.Int64),
+    ).sort("candidate_id")
+
+
+def group_frame(tables: Mapping[str, pa.Table], task: Task) -> pl.DataFrame:
+    """One row a group, with or without candidates: its columns, `split`, `category`, `n_obstacles`, and `resting` for a fixed target."""
+    scenes = frame_of(tables["scenes"], ["scene_id", "object_id", "category", "n_obstacles"]).join(
+        frame_of(tables["splits"]), on="scene_id"
+    )
+    if task is Task.JOINT:
+        return scenes.sort("scene_id")
+    targets = frame_of(tables["targets"], ["scene_id", "target_id", "resting"])
+    return scenes.join(targets, on="scene_id").sort("scene_id", "target_id")

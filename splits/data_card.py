@@ -1,0 +1,196 @@
+"""The README of a release, rendered from its tables so that no number in it can be stale; writing it is release's business."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import polars as pl
+import pyarrow as pa
+
+from splits.frames import frame_of
+from splits.markdown import count, percent, share, table
+from tables.columns import TableSchema
+from tables.schemas import ALL_SCHEMAS
+from tables.vocabulary import Category, ExecStatus, PlanStatus, Split
+
+PAPER_CITATION = """@misc{liu_execution_aware_ranking,
+  title  = {Execution-Aware Pre-Execution Ranking for Grasp-Conditioned Robotic Placement},
+  author = {Liu, Tianyuan and Patamia, Rutherford Agbeshi and Champion, Benjamin and Dazeley, Richard and Cosgun, Akansel},
+  note   = {Deakin University}
+}"""
+
+_READING = """Three queries with polars, from inside this folder:
+
+```python
+import polars as pl
+
+def table(name):
+    return pl.scan_parquet(f"{name}.parquet").with_columns(pl.col(pl.Categorical).cast(pl.String))
+
+candidates = table("candidates").join(table("splits"), on="scene_id").with_columns(pl.col("y_pipe").fill_null(False).alias("success"))
+
+# How often can a candidate be planned, and how often is it a success?
+print(candidates.group_by("category").agg(pl.len(), pl.col("y_plan", "success").mean()).sort("category").collect())
+
+# Why do planned candidates of the training split fail in execution?
+train = candidates.filter((pl.col("split") == "train") & pl.col("y_plan"))
+print(train.group_by("exec_status").len().sort("len", descending=True).collect())
+
+# Which targets of the test split can be served by no grasp at all?
+test = candidates.filter(pl.col("split") == "test").group_by("scene_id", "target_id").agg(pl.col("success").any())
+print(test.filter(~pl.col("success")).sort("scene_id", "target_id").collect())
+```"""
+
+_LIMITS = """\
+- **A protocol, not the paper's labels.** The protocol is that of the paper cited below, which used Isaac Sim and cuMotion; here it is
+  PyBullet, OMPL, pinocchio and coal. Rates differ and may not be compared as if they were of the same data.
+- **Simulation only.** Rigid bodies, Coulomb friction, convex parts instead of exact meshes. No label was confirmed on a robot.
+- **Labels near the tolerance are chaotic.** Contact dynamics amplify differences that mean nothing physically; `tolerance_margin` says
+  how near a label is to flipping, and the table `attempts`, where present, says how often labels did flip.
+- **Known objects.** The splits hold out scenes, not objects: an object may occur in every split. Results say nothing about unseen
+  objects.
+- **Supervision only.** Whatever is known only after planning or physics must not be a model input: the columns of `candidates` from
+  `y_plan` on, `plans`, and the lifted and in-hand states in `grasps`.
+- **One grasp and one placement.** Regrasping, stacking and moving obstacles are not in the data."""
+
+_INTRODUCTION = """Grasp-conditioned placement: every row of `candidates` pairs a grasp with a placement target of one scene and says
+whether a motion planner found a complete placement motion (`y_plan`) and whether that motion, executed in physics, ended in a valid final
+pose (`y_pipe`). A candidate is a success when both hold. The task is to order the candidates of a group, before anything is planned, so
+that a success comes first."""
+
+_ABOUT_SPLITS = """Scene groups are held out whole, stratified by category and obstacle count; a scene keeps its split in every tier. A
+group is *covered* when it holds a success. Joint groups are scenes, fixed-target groups are one target of a scene; a group without a
+lifted grasp counts as uncovered."""
+
+_ABOUT_TABLES = """Poses are seven columns: metres and a unit quaternion xyzw; the prefix names the pose. Everything is in the robot base
+frame (z up, table top at z = 0) unless its meaning says otherwise. `timings` were measured once and are no part of the release hash."""
+
+_CHECKING = """`python -m splits.release verify DIR` recomputes every checksum, checks every schema, and looks for impossible labels and
+for leaks between splits. `manifest.json` was written last: without it a release is not complete."""
+
+
+def render_card(tables: Mapping[str, pa.Table], facts: Mapping[str, str]) -> str:
+    """Markdown of the data card.
+
+    Args:
+        tables: the release's tables by name.
+        facts: what the tables do not say: `tier`, `version`, `schema_version`, `licence`, `release_hash`, `scenes_of_tier`, provenance.
+    """
+    frames = {name: frame_of(tables[name]) for name in ("candidates", "splits", "scenes", "targets", "grasps", "objects")}
+    joined = frames["candidates"].join(frames["splits"], on="scene_id").with_columns(pl.col("y_pipe").fill_null(False).alias("success"))
+    licence = f"The data are licensed under {facts['licence']}. The protocol is that of:\n\n```bibtex\n{PAPER_CITATION}\n```"
+    blocks = [
+        f"# PlaceBench {facts['tier']} {facts['version']}",
+        _INTRODUCTION,
+        _facts(frames, facts),
+        f"## Splits\n\n{_ABOUT_SPLITS}",
+        _splits(frames, joined),
+        "## Outcomes",
+        _outcomes(joined),
+        "## Scenes",
+        _scenes(frames["scenes"]),
+        f"## How to read it\n\n{_READING}",
+        "## Tables",
+        _overview(tables),
+        _ABOUT_TABLES,
+        *(_schema(ALL_SCHEMAS[name]) for name in sorted(tables)),
+        f"## Limits\n\n{_LIMITS}",
+        f"## Licence and citation\n\n{licence}",
+        f"## Checking it\n\n{_CHECKING}",
+    ]
+    return "\n\n".join(blocks) + "\n"
+
+
+def _facts(frames: Mapping[str, pl.DataFrame], facts: Mapping[str, str]) -> str:
+    n_scenes = frames["scenes"].height
+    lines = [
+        ("objects", f"{frames['scenes']['object_id'].n_unique()} of {frames['objects'].height} in the catalogue"),
+        ("scenes", f"{count(n_scenes)} of {facts['scenes_of_tier']} in the tier"),
+        ("targets", count(frames["targets"].height)),
+        ("lifted grasps a scene", f"{(frames['grasps']['lift_status'] == 'lifted').sum() / max(1, n_scenes):.1f}"),
+        ("candidates", count(frames["candidates"].height)),
+        *(
+            (f"`{name}`", f"`{value}`")
+            for name, value in sorted(facts.items())
+            if name not in ("tier", "version", "scenes_of_tier", "licence")
+        ),
+        ("licence", facts["licence"]),
+    ]
+    return table(["fact", "value"], lines, align="ll")
+
+
+def _splits(frames: Mapping[str, pl.DataFrame], joined: pl.DataFrame) -> str:
+    rows = []
+    n_all = joined.height
+    for name in [*(split.value for split in Split), "all"]:
+        chosen = frames["splits"] if name == "all" else frames["splits"].filter(pl.col("split") == name)
+        own = joined if name == "all" else joined.filter(pl.col("split") == name)
+        n_fixed = frames["targets"].join(chosen, on="scene_id").height
+        covered = own.filter("success")
+        rows.append(
+            [
+                name,
+                count(chosen.height),
+                share(own.height, n_all),
+                percent(own["y_plan"].mean() if own.height else None),  # type: ignore[arg-type]
+                percent(own["success"].mean() if own.height else None),  # type: ignore[arg-type]
+                share(covered["scene_id"].n_unique(), chosen.height),
+                count(n_fixed),
+                share(covered.select("scene_id", "target_id").n_unique(), n_fixed),
+            ]
+        )
+    return table(
+        ["split", "joint groups", "candidates", "planned", "success", "covered joint", "fixed-target groups", "covered fixed"], rows
+    )
+
+
+def _outcomes(joined: pl.DataFrame) -> str:
+    plans = _status_table(joined, "plan_status", [status.value for status in PlanStatus], "every candidate")
+    executions = _status_table(joined.filter("y_plan"), "exec_status", [status.value for status in ExecStatus], "every planned candidate")
+    return f"{plans}\n\n{executions}"
+
+
+def _status_table(frame: pl.DataFrame, column: str, statuses: list[str], of: str) -> str:
+    categories = [category.value for category in Category if (frame["category"] == category.value).any()]
+    totals = {category: int((frame["category"] == category).sum()) for category in categories}
+    counts = {(status, category): n for status, category, n in frame.group_by(column, "category").len().iter_rows()}
+    rows = [
+        [
+            f"`{status}`",
+            share(sum(counts.get((status, c), 0) for c in categories), frame.height),
+            *(share(counts.get((status, c), 0), totals[c]) for c in categories),
+        ]
+        for status in statuses
+    ]
+    return table(
+        [f"`{column}` of {of}", "all", *categories], [*rows, ["all", count(frame.height), *(count(totals[c]) for c in categories)]]
+    )
+
+
+def _scenes(scenes: pl.DataFrame) -> str:
+    counts = {(category, n): rows for category, n, rows in scenes.group_by("category", "n_obstacles").len().iter_rows()}
+    obstacle_counts = sorted({n for _, n in counts})
+    categories = [category.value for category in Category if any(c == category.value for c, _ in counts)]
+    rows = [[category, *(count(counts.get((category, n), 0)) for n in obstacle_counts)] for category in categories]
+    return table(["scenes", *(f"{n} obstacles" if n != 1 else "1 obstacle" for n in obstacle_counts)], rows)
+
+
+def _overview(tables: Mapping[str, pa.Table]) -> str:
+    rows = [
+        [f"`{name}`", ALL_SCHEMAS[name].meaning, ", ".join(ALL_SCHEMAS[name].key), count(tables[name].num_rows)] for name in sorted(tables)
+    ]
+    return table(["table", "one row is", "key", "rows"], rows, align="lllr")
+
+
+def _schema(schema: TableSchema) -> str:
+    rows = [
+        [
+            f"`{column.name}`",
+            str(column.dtype).replace("dictionary<values=string, indices=int16, ordered=0>", "string, dictionary"),
+            column.unit,
+            "yes" if column.nullable else "",
+            column.meaning.replace("<", "&lt;") + (f": {', '.join(f'`{value}`' for value in column.values)}" if column.values else ""),
+        ]
+        for column in schema.columns
+    ]
+    return f"### `{schema.name}`: {schema.meaning}\n\n" + table(["column", "type", "unit", "null", "meaning"], rows, align="lllll")
