@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import sys
 import time
 import traceback
+import types
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,13 +35,16 @@ class Outcome:
     core_ms: float
 
 
-def run_units(function: Callable[..., Any], units: Sequence[tuple[Any, ...]], n_workers: int) -> Iterator[Outcome]:
+def run_units(
+    function: Callable[..., Any], units: Sequence[tuple[Any, ...]], n_workers: int, units_per_life: int = UNITS_PER_WORKER_LIFE
+) -> Iterator[Outcome]:
     """Outcomes of `function(*unit)` for every unit, as they finish.
 
     Args:
         function: a module-level function, pure in its arguments.
         units: arguments, picklable.
         n_workers: processes; 0 runs the units in this process.
+        units_per_life: units a worker runs before a new process takes its place; 1 gives every unit a fresh process.
 
     Yields:
         One outcome a unit; an exception or a dead worker is an outcome with `error` set.
@@ -49,11 +55,10 @@ def run_units(function: Callable[..., Any], units: Sequence[tuple[Any, ...]], n_
         for index, unit in enumerate(units):
             yield _outcome(index, *_timed(function, unit))
         return
-    with _pool(n_workers) as pool:
+    with _pool(n_workers, units_per_life) as pool:
         waiting: dict[Future[Any], int] = {}
-        remaining = iter(enumerate(units))
         # A short queue: a worker never waits, and a killed run has lost little.
-        for index, unit in remaining:
+        for index, unit in enumerate(units):
             waiting[pool.schedule(_timed, args=(function, unit))] = index
             if len(waiting) >= 3 * n_workers:
                 yield from _finished(waiting)
@@ -61,13 +66,27 @@ def run_units(function: Callable[..., Any], units: Sequence[tuple[Any, ...]], n_
             yield from _finished(waiting)
 
 
-def _pool(n_workers: int) -> ProcessPool:
+@contextmanager
+def _pool(n_workers: int, units_per_life: int) -> Iterator[ProcessPool]:
     for name in THREAD_VARIABLES:
         os.environ[name] = "1"
     context = multiprocessing.get_context("forkserver")
     # Engines are imported once in the fork server instead of once in every worker.
     context.set_forkserver_preload(["pipelines.stages"])
-    return ProcessPool(max_workers=n_workers, max_tasks=UNITS_PER_WORKER_LIFE, context=context)
+    # A worker imports its parent's main module again, here Dagster's command line: seconds a worker, and nothing in it is needed.
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = types.ModuleType("__main__")
+    pool = ProcessPool(max_workers=n_workers, max_tasks=units_per_life, context=context)
+    try:
+        yield pool
+        pool.close()
+    except BaseException:
+        # An interrupt ends the units in work instead of waiting for them.
+        pool.stop()
+        raise
+    finally:
+        pool.join()
+        sys.modules["__main__"] = main
 
 
 def _finished(waiting: dict[Future[Any], int]) -> Iterator[Outcome]:

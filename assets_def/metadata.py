@@ -1,0 +1,64 @@
+"""What a user sees of a published table or figure in the Dagster UI."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+from dagster import MetadataValue, TableColumn, TableSchema
+
+from tables.columns import TableSchema as Schema
+from tables.store import Sidecar, read_table
+
+PREVIEW_ROWS = 6
+PREVIEW_COLUMNS = 8
+
+
+def table_metadata(schema: Schema, path: Path, sidecar: Sidecar) -> dict[str, Any]:
+    """Rows, hash, columns with units and meaning, counts of each status, and the first rows as Markdown."""
+    frame = pl.from_arrow(read_table(schema, path))
+    assert isinstance(frame, pl.DataFrame)
+    columns = [TableColumn(c.name, str(c.dtype), f"{c.meaning}{f' [{c.unit}]' if c.unit else ''}") for c in schema.columns]
+    counts = {c.name: status_counts(frame, c.name) for c in schema.columns if c.name.endswith("_status")}
+    return {
+        "dagster/row_count": sidecar.rows,
+        "dagster/column_schema": TableSchema(columns),
+        "path": MetadataValue.path(str(path)),
+        "content_hash": sidecar.content_hash,
+        "bytes": path.stat().st_size,
+        "preview": MetadataValue.md(markdown_table(frame.head(PREVIEW_ROWS)[:, :PREVIEW_COLUMNS])),
+        **{name: MetadataValue.md(_counts_as_markdown(count)) for name, count in counts.items()},
+    }
+
+
+def status_counts(frame: pl.DataFrame, column: str) -> dict[str, int]:
+    """How often each value occurs, most frequent first; null is counted as `not run`."""
+    values = frame.select(pl.col(column).cast(pl.String).fill_null("not run"))
+    return dict(values[column].value_counts(sort=True).iter_rows())
+
+
+def markdown_table(frame: pl.DataFrame) -> str:
+    """A small frame as a Markdown table."""
+    head = ["| " + " | ".join(frame.columns) + " |", "|" + " --- |" * frame.width]
+    return "\n".join([*head, *("| " + " | ".join(_cell(value) for value in row) + " |" for row in frame.iter_rows())])
+
+
+def inline_figure(png: bytes) -> Any:
+    """A PNG shown in the UI itself."""
+    return MetadataValue.md(f"![figure](data:image/png;base64,{base64.b64encode(png).decode()})")
+
+
+def _counts_as_markdown(counts: Mapping[str, int]) -> str:
+    total = max(1, sum(counts.values()))
+    rows = [f"| {name} | {n} | {100 * n / total:.1f} % |" for name, n in counts.items()]
+    return "\n".join(["| status | rows | share |", "| --- | --- | --- |", *rows])
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    text = str(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."

@@ -1,0 +1,53 @@
+"""Objects from the catalogue: watertight meshes, convex parts, stable poses, grasp pools; the work is objects.build's."""
+
+from collections.abc import Iterator
+
+from dagster import AssetCheckResult, AssetExecutionContext, AssetSpec, DataVersion, MaterializeResult, multi_asset
+
+from assets_def.checks import schema_check, schema_check_spec
+from assets_def.metadata import table_metadata
+from assets_def.resources import Benchmark
+from pipelines.data_root import OBJECT_TABLES
+from pipelines.object_tables import make_object_tables
+from tables.schemas import ALL_SCHEMAS
+
+OBJECT_CODE_VERSION = "1"
+
+_UPSTREAM = {
+    "object_meshes": [],
+    "object_parts": ["object_meshes"],
+    "stable_poses": ["object_meshes"],
+    "grasp_pool": ["object_meshes", "object_parts"],
+    "objects": ["object_meshes", "object_parts", "grasp_pool"],
+}
+_DESCRIPTIONS = {
+    "object_meshes": "Builds one watertight triangle mesh for each of the 30 catalogue objects.",
+    "object_parts": "Decomposes each mesh into convex parts with CoACD, the fewest that keep a mug's cavity and handle hole open.",
+    "stable_poses": "Finds the poses in which each object rests on a table, merged by symmetry, with probabilities.",
+    "grasp_pool": "Samples antipodal grasps on each mesh and keeps 64 diverse ones an object.",
+    "objects": "Collects dimensions, mass properties, symmetry and the quality gates of each object.",
+}
+
+
+@multi_asset(
+    name="make_objects",
+    specs=[
+        AssetSpec(
+            name,
+            deps=_UPSTREAM[name],
+            description=f"{_DESCRIPTIONS[name]}\n\nRows: {ALL_SCHEMAS[name].meaning}.",
+            group_name="objects",
+            code_version=OBJECT_CODE_VERSION,
+            kinds={"parquet"},
+        )
+        for name in OBJECT_TABLES
+    ],
+    check_specs=[schema_check_spec(ALL_SCHEMAS[name]) for name in OBJECT_TABLES],
+)
+def object_assets(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
+    sidecars = make_object_tables(benchmark.root, benchmark.recipe("full"), OBJECT_CODE_VERSION, benchmark.n_workers, context.log.info)
+    for name in ("object_meshes", "object_parts", "stable_poses", "grasp_pool", "objects"):
+        path, schema = benchmark.root.object_table(name), ALL_SCHEMAS[name]
+        metadata = table_metadata(schema, path, sidecars[name])
+        yield MaterializeResult(name, metadata=metadata, data_version=DataVersion(sidecars[name].content_hash))
+        yield schema_check(schema, path)

@@ -1,0 +1,78 @@
+"""A progress bar with an estimated end over shards and the stages in them, drawn from what the stage assets tell."""
+
+from __future__ import annotations
+
+import logging
+import time
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from assets_def.stages import PROGRESS
+from pipelines.shard_runner import Progress as StageProgress
+from pipelines.stages import STAGES
+
+# Share of a shard's wall time, measured on tier pilot; replaced by this run's own shares after its first shard.
+FIRST_SHARES = {
+    "scenes": 0.05,
+    "scene_points": 0.02,
+    "grasp_admission": 0.02,
+    "pick_lift": 0.10,
+    "planning_labels": 0.16,
+    "execution_labels": 0.65,
+}
+
+
+class ShardProgress(logging.Handler):
+    """Context manager: while it is open, unit messages of stages move the bar."""
+
+    def __init__(self, console: Console, n_shards: int) -> None:
+        super().__init__(logging.DEBUG)
+        self.seconds_by_stage: dict[str, float] = {}
+        self._shares = dict(FIRST_SHARES)
+        self._started: dict[str, float] = {}
+        self._n_finished = 0
+        self._bar = Progress(
+            TextColumn("{task.description:<34}"),
+            BarColumn(),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=console,
+            speed_estimate_period=1200,
+            disable=n_shards == 0,
+        )
+        self._task = self._bar.add_task("shards", total=max(1, n_shards))
+
+    def __enter__(self) -> ShardProgress:
+        PROGRESS.addHandler(self)
+        PROGRESS.setLevel(logging.DEBUG)
+        PROGRESS.propagate = False
+        self._bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        PROGRESS.removeHandler(self)
+        self._bar.stop()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        progress: StageProgress = record.progress  # type: ignore[attr-defined]
+        now = time.perf_counter()
+        first = self._started.setdefault(progress.stage, now)
+        if progress.done == progress.total:
+            self.seconds_by_stage[progress.stage] = self.seconds_by_stage.get(progress.stage, 0.0) + now - first
+        names = [stage.name for stage in STAGES]
+        before = sum(self._shares.get(name, 0.0) for name in names[: names.index(progress.stage)])
+        share = before + self._shares.get(progress.stage, 0.0) * progress.done / progress.total
+        text = f"{progress.shard} {progress.stage} {progress.done}/{progress.total}"
+        self._bar.update(self._task, completed=self._n_finished + share, description=text)
+
+    def finish_shard(self) -> None:
+        self._n_finished += 1
+        self._started.clear()
+        total = sum(self.seconds_by_stage.values())
+        if total > 0:
+            self._shares = {name: value / total for name, value in self.seconds_by_stage.items()}
+        self._bar.update(self._task, completed=self._n_finished)

@@ -1,0 +1,156 @@
+"""Reports of a tier: repeat executions, S_K, ablation, repeatability, dataset profile and gallery; the work is reports'."""
+
+from collections.abc import Callable, Iterator, Sequence
+
+import pyarrow as pa
+from dagster import (
+    AssetCheckResult,
+    AssetDep,
+    AssetExecutionContext,
+    AssetsDefinition,
+    AssetSpec,
+    DataVersion,
+    MaterializeResult,
+    MetadataValue,
+    asset,
+    multi_asset,
+)
+
+from assets_def.checks import schema_check, schema_check_spec
+from assets_def.metadata import inline_figure, table_metadata
+from assets_def.partitions import tier_partitions
+from assets_def.resources import Benchmark
+from objects.kit import kits_from_tables
+from pipelines.repeats import Repeat, attempt_rows, choose_perturbed
+from pipelines.scene import lifted_grasps, rows_by, scenes_from_tables
+from reports.ablation import ablation_report
+from reports.gallery import gallery_report
+from reports.load import load_release
+from reports.profile import profile_report
+from reports.repeatability import choose_tasks, repeatability_report
+from reports.report import Report
+from reports.success_at_k import success_at_k_report
+from tables.identity import parse_candidate_id
+from tables.schemas import ATTEMPTS, PREDICTIONS, TIMINGS
+from tables.store import read_table, table_from_rows, write_table
+from tables.vocabulary import Perturbation
+
+REPORT_CODE_VERSION = "1"
+# Executed candidates repeated under each perturbation, and filmstrips an execution status.
+N_PERTURBED = {"mini": 24, "pilot": 300, "full": 900}
+N_FILMS = {"mini": 1, "pilot": 3, "full": 3}
+_GALLERY_TABLES = (
+    "objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool",
+    "scenes", "obstacles", "targets", "grasps", "candidates", "plans",
+)  # fmt: skip
+
+
+@multi_asset(
+    name="repeat_executions",
+    specs=[
+        AssetSpec(
+            "attempts",
+            deps=["release"],
+            description="Plans and executes chosen candidates again, each in a fresh process: tasks chosen by hash before any outcome is"
+            f" read, and executed candidates under changes that ought not to matter. Rows: {ATTEMPTS.meaning}.",
+            group_name="reports",
+            code_version=REPORT_CODE_VERSION,
+            kinds={"parquet"},
+        )
+    ],
+    check_specs=[schema_check_spec(ATTEMPTS)],
+    partitions_def=tier_partitions,
+)
+def attempts(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
+    tier = context.partition_key
+    tables = load_release(benchmark.root.release(tier), (*_GALLERY_TABLES,))
+    recipe = benchmark.recipe_of_tier(tier)
+    blind = tables["candidates"].select(["candidate_id", "scene_id", "target_id"])
+    chosen = [
+        *((task.candidate_id, Perturbation.FRESH, k) for task in choose_tasks(blind, recipe.seed) for k in range(task.n_repeats)),
+        *((name, kind, 0) for name, kind in choose_perturbed(tables["candidates"], recipe.seed, N_PERTURBED[tier])),
+    ]
+    rows = list(attempt_rows(_repeats(tables, benchmark, tier, chosen), benchmark.n_workers))
+    path = benchmark.root.tier_table(tier, "attempts")
+    sidecar = write_table(ATTEMPTS, table_from_rows(ATTEMPTS, rows), path)
+    yield MaterializeResult("attempts", metadata=table_metadata(ATTEMPTS, path, sidecar), data_version=DataVersion(sidecar.content_hash))
+    yield schema_check(ATTEMPTS, path)
+
+
+def _repeats(tables: dict[str, pa.Table], benchmark: Benchmark, tier: str, chosen: Sequence[tuple[str, Perturbation, int]]) -> list[Repeat]:
+    recipe = benchmark.recipe_of_tier(tier)
+    kits = kits_from_tables(*(tables[name] for name in ("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool")))
+    scenes = scenes_from_tables(tables["scenes"], tables["obstacles"], tables["targets"])
+    grasps = {name: {g.grasp_id: g for g in lifted_grasps(rows)} for name, rows in rows_by(tables["grasps"], "scene_id").items()}
+    stored = {row["candidate_id"]: row for row in tables["candidates"].to_pylist()}
+    repeats = []
+    for name, kind, number in chosen:
+        c = parse_candidate_id(name)
+        scene = scenes[c.scene_id]
+        grasp = grasps[c.scene_id][c.grasp_id]
+        repeats.append(Repeat(recipe, kits[scene.object_id], scene, grasp, c.target_id, stored[name], kind, number))
+    return repeats
+
+
+def _success_at_k(benchmark: Benchmark, tier: str) -> Report:
+    predictions = read_table(PREDICTIONS, benchmark.root.tier_table(tier, "predictions"))
+    times = read_table(TIMINGS, benchmark.root.tier_table(tier, "decision_times"))
+    tables = load_release(benchmark.root.release(tier))
+    return success_at_k_report(tables, predictions, times, tier=tier, seed=benchmark.recipe_of_tier(tier).seed)
+
+
+def _ablation(benchmark: Benchmark, tier: str) -> Report:
+    predictions = read_table(PREDICTIONS, benchmark.root.tier_table(tier, "predictions"))
+    return ablation_report(load_release(benchmark.root.release(tier)), predictions, tier=tier, seed=benchmark.recipe_of_tier(tier).seed)
+
+
+def _repeatability(benchmark: Benchmark, tier: str) -> Report:
+    repeated = read_table(ATTEMPTS, benchmark.root.tier_table(tier, "attempts"))
+    return repeatability_report(repeated, load_release(benchmark.root.release(tier), ["candidates"])["candidates"], tier=tier)
+
+
+def _profile(benchmark: Benchmark, tier: str) -> Report:
+    return profile_report(load_release(benchmark.root.release(tier)), tier=tier, seed=benchmark.recipe_of_tier(tier).seed)
+
+
+def _gallery(benchmark: Benchmark, tier: str) -> Report:
+    tables = load_release(benchmark.root.release(tier), _GALLERY_TABLES)
+    return gallery_report(tables, benchmark.recipe_of_tier(tier), tier=tier, n_films=N_FILMS[tier])
+
+
+def _report_asset(name: str, deps: Sequence[str], description: str, make: Callable[[Benchmark, str], Report]) -> AssetsDefinition:
+    @asset(
+        name=f"{name}_report",
+        deps=[AssetDep(dep) for dep in deps],
+        description=description,
+        group_name="reports",
+        code_version=REPORT_CODE_VERSION,
+        partitions_def=tier_partitions,
+        kinds={"markdown"},
+    )
+    def report(context: AssetExecutionContext, benchmark: Benchmark) -> MaterializeResult:
+        tier = context.partition_key
+        made = make(benchmark, tier)
+        path = made.write(benchmark.report_dir(tier))
+        figures = {f"figure {stem}": inline_figure(png) for stem, png in made.figures.items()}
+        report_text = MetadataValue.md(made.markdown)
+        metrics = {name: float(value) for name, value in made.metrics.items()}
+        return MaterializeResult(metadata={"path": MetadataValue.path(str(path)), "report": report_text, **metrics, **figures})
+
+    return report
+
+
+success_at_k = _report_asset(
+    "success_at_k", ["release", "predictions", "decision_times"], "S_K of six policies on both tasks, the paper beside ours.", _success_at_k
+)
+ablation = _report_asset("ablation", ["release", "predictions"], "The ranker and three ablations on the validation split.", _ablation)
+repeatability = _report_asset("repeatability", ["release", "attempts"], "How often a label comes out the same again.", _repeatability)
+profile = _report_asset("profile", ["release"], "Counts, statuses, coverage and the ladder of policies that learn nothing.", _profile)
+gallery = _report_asset("gallery", ["release"], "Contact sheets: scenes, grasps, filmstrips of every outcome.", _gallery)
+
+report_assets = [attempts, profile, gallery, repeatability, success_at_k, ablation]
+
+
+def report_assets_of(until: str) -> list[AssetsDefinition]:
+    """The report assets that need no ranker, or all."""
+    return report_assets if until == "reports" else [attempts, profile, gallery, repeatability]

@@ -1,0 +1,186 @@
+"""Runs one stage on one shard: what is already published is kept, what is missing is made, a failed scene costs only itself."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import pyarrow as pa
+
+from objects.kit import ObjectKit
+from pipelines.data_root import DataRoot
+from pipelines.layout import SceneLayout
+from pipelines.recipe import Recipe
+from pipelines.scene import Row
+from pipelines.stages import Stage, UnitResult, rows_by_scene, units_of
+from pipelines.workers import run_units
+from tables.columns import TableSchema
+from tables.schemas import SCHEMA_VERSION, TIMINGS
+from tables.store import (
+    Sidecar,
+    StoreError,
+    file_sha256,
+    read_sidecar,
+    read_tables,
+    sidecar_path,
+    table_from_rows,
+    write_table,
+)
+
+
+class StageError(RuntimeError):
+    """Scenes of a shard that could not be made; the message has each one's id and reason, the others are kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a stage is: units done, units in all."""
+
+    stage: str
+    shard: str
+    done: int
+    total: int
+
+
+@dataclass(frozen=True, slots=True)
+class StageReport:
+    """What a run of a stage published, and what it cost in this run."""
+
+    sidecars: dict[str, Sidecar]
+    is_reused: bool
+    n_units: int = 0
+    wall_s: float = 0.0
+    core_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ShardInputs:
+    """What a stage reads besides the shard's own tables: recipe, objects, layouts of the shard's scenes, hash of the object tables."""
+
+    recipe: Recipe
+    kits: Mapping[str, ObjectKit]
+    layouts: Sequence[SceneLayout]
+    objects_hash: str
+
+
+def run_stage(
+    stage: Stage,
+    shard: str,
+    root: DataRoot,
+    inputs: ShardInputs,
+    n_workers: int,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> StageReport:
+    """Publish the tables of one stage for one shard.
+
+    Args:
+        n_workers: worker processes; 0 stays in this process. The result does not depend on it.
+        on_progress: called after every unit.
+
+    Raises:
+        StageError: at least one scene failed. Finished scenes stay on disk, and the next run makes only the missing ones.
+        StoreError: an upstream table is not published.
+    """
+    start = time.perf_counter()
+    made_from = _made_from(stage, shard, root, inputs)
+    published = _published(stage, shard, root, made_from)
+    if published is not None:
+        return StageReport(published, is_reused=True)
+    upstream = rows_by_scene(root.read_shard(shard, stage.inputs), [layout.scene_id for layout in inputs.layouts])
+    missing = [layout for layout in inputs.layouts if not _has_part(stage, shard, root, layout.scene_id, made_from)]
+    units = [
+        unit
+        for layout in missing
+        for unit in units_of(stage, inputs.recipe, inputs.kits[layout.object_id], layout, upstream[layout.scene_id])
+    ]
+    n_left = {layout.scene_id: 0 for layout in missing}
+    for unit in units:
+        n_left[unit.layout.scene_id] += 1
+    results: dict[str, list[UnitResult]] = {scene_id: [] for scene_id in n_left}
+    for scene_id in [scene_id for scene_id, n in n_left.items() if n == 0]:
+        _write_part(stage, shard, root, scene_id, [], made_from)
+    failures: dict[str, str] = {}
+    core_ms = 0.0
+    for n_done, outcome in enumerate(run_units(stage.run, [(unit,) for unit in units], n_workers), 1):
+        unit = units[outcome.index]
+        scene_id = unit.layout.scene_id
+        core_ms += outcome.core_ms
+        n_left[scene_id] -= 1
+        if outcome.error is None:
+            results[scene_id].append(outcome.value)
+        else:
+            grasp = "" if unit.grasp_id is None else f"-g{unit.grasp_id:02d}"
+            failures.setdefault(scene_id, f"{scene_id}{grasp}: {outcome.error}")
+        if n_left[scene_id] == 0 and scene_id not in failures:
+            _write_part(stage, shard, root, scene_id, results.pop(scene_id), made_from)
+        on_progress(Progress(stage.name, shard, n_done, len(units)))
+    if failures:
+        reasons = "\n".join(failures[scene_id] for scene_id in sorted(failures))
+        raise StageError(
+            f"{shard}.{stage.name}: {len(failures)} of {len(inputs.layouts)} scenes failed, must be 0; the others are kept:\n{reasons}"
+        )
+    sidecars = _publish(stage, shard, root, inputs, made_from)
+    return StageReport(sidecars, False, len(units), time.perf_counter() - start, core_ms / 1e3)
+
+
+def is_published(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs) -> bool:
+    """Whether the tables of a stage are on disk, unchanged, and made from what would be used today."""
+    try:
+        return _published(stage, shard, root, _made_from(stage, shard, root, inputs)) is not None
+    except StoreError:
+        return False
+
+
+def _made_from(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs) -> dict[str, str]:
+    """What identifies the inputs of a stage; equal inputs give equal tables, so a stored table with these is up to date."""
+    upstream = {f"table.{t.name}": read_sidecar(root.shard_table(shard, t.name)).content_hash for t in stage.inputs}
+    recipe = inputs.recipe.hash_of(*stage.recipe_sections) if stage.recipe_sections else inputs.recipe.hash_of("seed")
+    return {"stage": stage.name, "code": stage.code_version, "recipe": recipe, "objects": inputs.objects_hash, **upstream}
+
+
+def _published(stage: Stage, shard: str, root: DataRoot, made_from: Mapping[str, str]) -> dict[str, Sidecar] | None:
+    sidecars = {}
+    for schema in stage.outputs:
+        path = root.shard_table(shard, schema.name)
+        if not path.exists() or not sidecar_path(path).exists():
+            return None
+        sidecar = read_sidecar(path)
+        if sidecar.made_from != made_from or sidecar.schema_version != SCHEMA_VERSION or file_sha256(path) != sidecar.sha256:
+            return None
+        sidecars[schema.name] = sidecar
+    return sidecars
+
+
+def _has_part(stage: Stage, shard: str, root: DataRoot, scene_id: str, made_from: Mapping[str, str]) -> bool:
+    paths = [root.scene_part(shard, stage.name, scene_id, schema.name) for schema in (*stage.outputs, TIMINGS)]
+    return all(sidecar_path(path).exists() and read_sidecar(path).made_from == made_from for path in paths)
+
+
+def _write_part(
+    stage: Stage, shard: str, root: DataRoot, scene_id: str, results: Sequence[UnitResult], made_from: Mapping[str, str]
+) -> None:
+    rows: dict[str, list[Row]] = {schema.name: [] for schema in stage.outputs}
+    for result in results:
+        for name, more in result.rows.items():
+            rows[name] += more
+    rows["timings"] = [row for result in results for row in result.timings]
+    for schema in (*stage.outputs, TIMINGS):
+        table = table_from_rows(schema, rows[schema.name])
+        write_table(schema, table, root.scene_part(shard, stage.name, scene_id, schema.name), made_from)
+
+
+def _publish(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs, made_from: Mapping[str, str]) -> dict[str, Sidecar]:
+    def joined(schema: TableSchema) -> pa.Table:
+        return read_tables(schema, [root.scene_part(shard, stage.name, layout.scene_id, schema.name) for layout in inputs.layouts])
+
+    write_table(TIMINGS, joined(TIMINGS), root.timings(shard, stage.name), made_from)
+    sidecars = {s.name: write_table(s, joined(s), root.shard_table(shard, s.name), made_from) for s in stage.outputs}
+    shutil.rmtree(root.scene_part(shard, stage.name, "x", "x").parent.parent)
+    return sidecars
+
+
+def read_timings(root: DataRoot, shards: Sequence[str], stages: Sequence[Stage]) -> pa.Table:
+    """Timings of some stages over some shards."""
+    return read_tables(TIMINGS, [root.timings(shard, stage.name) for shard in shards for stage in stages])

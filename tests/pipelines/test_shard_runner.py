@@ -1,0 +1,113 @@
+"""What a shard costs when something goes wrong: only the failed scene, only once; and the table never depends on how it was made."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+from pathlib import Path
+
+import pytest
+
+from objects.kit import ObjectKit
+from pipelines import shard_runner
+from pipelines.data_root import DataRoot
+from pipelines.layout import SceneLayout
+from pipelines.recipe import Recipe
+from pipelines.shard_runner import ShardInputs, StageError, is_published, run_stage
+from pipelines.stages import Stage, Unit, UnitResult
+from tables.identity import rng_for, scenes_of_shard
+from tables.schemas import SPLITS, TIMINGS
+from tables.store import read_table
+from tests.builders import can_kit
+
+SHARD = "mini-000"
+SCENES = scenes_of_shard(SHARD)
+
+
+def _draw(unit: Unit) -> UnitResult:
+    scene_id = unit.layout.scene_id
+    name = ["train", "validation", "test"][int(rng_for(unit.recipe.seed, "draw", scene_id).integers(3))]
+    rows = {"splits": [{"scene_id": scene_id, "split": name}]}
+    return UnitResult(rows, [{"stage": "draw", "item_id": scene_id, "core_ms": 1.0}])
+
+
+def _draw_but_crash(unit: Unit) -> UnitResult:
+    if unit.layout.scene_id == SCENES[4]:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if unit.layout.scene_id == SCENES[7]:
+        raise ValueError("volume 0.0 m3, must be above 0")
+    return _draw(unit)
+
+
+def _stage(run=_draw, version: str = "1") -> Stage:
+    return Stage("draw", version, (), (SPLITS,), ("camera",), run)
+
+
+@pytest.fixture
+def inputs() -> ShardInputs:
+    kit: ObjectKit = can_kit()
+    layouts = [SceneLayout(scene_id, kit.object_id, "can", 0) for scene_id in SCENES]
+    return ShardInputs(Recipe(), {kit.object_id: kit}, layouts, "objects")
+
+
+def test_table_is_the_same_for_any_number_of_workers_and_any_order(tmp_path: Path, inputs: ShardInputs) -> None:
+    shuffled = ShardInputs(inputs.recipe, inputs.kits, random.Random(1).sample(inputs.layouts, len(inputs.layouts)), inputs.objects_hash)
+    runs = ((0, inputs), (1, inputs), (2, inputs), (2, shuffled))
+    hashes = {
+        run_stage(_stage(), SHARD, DataRoot(tmp_path / str(k)), some, n).sidecars["splits"].content_hash for k, (n, some) in enumerate(runs)
+    }
+    assert len(hashes) == 1
+
+
+def test_an_unchanged_stage_is_reused_and_a_changed_one_is_not(tmp_path: Path, inputs: ShardInputs) -> None:
+    root = DataRoot(tmp_path)
+    assert not run_stage(_stage(), SHARD, root, inputs, 0).is_reused
+    assert run_stage(_stage(), SHARD, root, inputs, 0).is_reused
+    assert not is_published(_stage(version="2"), SHARD, root, inputs)
+    assert not run_stage(_stage(version="2"), SHARD, root, inputs, 0).is_reused
+    changed = ShardInputs(Recipe(seed=1), inputs.kits, inputs.layouts, inputs.objects_hash)
+    assert not run_stage(_stage(version="2"), SHARD, root, changed, 0).is_reused
+
+
+def test_a_damaged_table_is_made_again(tmp_path: Path, inputs: ShardInputs) -> None:
+    root = DataRoot(tmp_path)
+    first = run_stage(_stage(), SHARD, root, inputs, 0).sidecars["splits"]
+    path = root.shard_table(SHARD, "splits")
+    path.write_bytes(path.read_bytes()[:-1] + b"x")
+    again = run_stage(_stage(), SHARD, root, inputs, 0)
+    assert not again.is_reused
+    assert again.sidecars["splits"].content_hash == first.content_hash
+
+
+def test_a_crash_fails_its_scene_with_its_id_and_keeps_the_others(
+    tmp_path: Path, inputs: ShardInputs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = DataRoot(tmp_path)
+    with pytest.raises(StageError, match="2 of 12 scenes failed") as failure:
+        run_stage(_stage(_draw_but_crash), SHARD, root, inputs, 2)
+    assert f"{SCENES[4]}: worker died" in str(failure.value)
+    assert f"{SCENES[7]}: ValueError: volume 0.0 m3, must be above 0" in str(failure.value)
+    assert not root.shard_table(SHARD, "splits").exists()
+
+    made = []
+    real = shard_runner.units_of
+    monkeypatch.setattr(shard_runner, "units_of", lambda stage, recipe, kit, layout, rows: made.append(layout.scene_id) or real(stage, recipe, kit, layout, rows))
+    resumed = run_stage(_stage(), SHARD, root, inputs, 0)
+    assert sorted(made) == [SCENES[4], SCENES[7]]
+    whole = run_stage(_stage(), SHARD, DataRoot(tmp_path / "whole"), inputs, 0)
+    assert resumed.sidecars["splits"].content_hash == whole.sidecars["splits"].content_hash
+    assert not (tmp_path / "shards" / SHARD / ".unfinished" / "draw").exists()
+
+
+def test_timings_are_kept_beside_the_tables(tmp_path: Path, inputs: ShardInputs) -> None:
+    root = DataRoot(tmp_path)
+    run_stage(_stage(), SHARD, root, inputs, 0)
+    assert read_table(TIMINGS, root.timings(SHARD, "draw"))["item_id"].to_pylist() == list(SCENES)
+
+
+def test_progress_counts_every_unit(tmp_path: Path, inputs: ShardInputs) -> None:
+    seen = []
+    run_stage(_stage(), SHARD, DataRoot(tmp_path), inputs, 0, seen.append)
+    assert [p.done for p in seen] == list(range(1, 13))
+    assert {p.total for p in seen} == {12}
