@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tables.columns import TableSchema, enum, flag, integer, integers, joints, plain, pose, real, reals, single, text
-from tables.vocabulary import AdmissionStatus, Category, ExecStatus, LiftStatus, Perturbation, PlanStatus, PointType, Split, Symmetry
+from tables.vocabulary import AdmissionStatus, Audit, Category, ExecStatus, LiftStatus, Perturbation, PlanStatus, PointType, Split, Symmetry
 
 SCHEMA_VERSION = "1.0.0"
 
@@ -156,6 +156,17 @@ ATTEMPTS = TableSchema("attempts", "repeat executions of candidates, under a per
     flag("is_identical", "every stored label column is bit-identical"),
 ))
 
+AUDITS = TableSchema("audits", "planning labels checked again by an independent or finer judge", ("candidate_id", "audit"), (
+    _CANDIDATE_ID, enum("audit", Audit, "how the label was checked"),
+    enum("stored_status", PlanStatus, "outcome of planning as stored"),
+    enum("audited_status", PlanStatus, "outcome as the audit judges it; null where a path is measured instead", nullable=True),
+    real("depth_m", "deepest overlap of two bodies on a solved path; negative where none touch: how near two come, at most 5 mm", "m", nullable=True),
+    text("deepest_pair", "phase and bodies of that overlap", nullable=True),
+    real("clearance_m", "smallest distance of arm, hand or held object to table or obstacles on a solved path, at most 5 mm", "m", nullable=True),
+    integer("n_configurations", "configurations checked for collision"),
+    flag("agrees", "the label holds: no overlap deeper than 1 mm, or the same answer to whether a plan exists"),
+))
+
 PREDICTIONS = TableSchema("predictions", "what a trained ranker says of every candidate", ("variant", "seed", "candidate_id"), (
     text("variant", "full, direct, no_object_relative or no_target_hypothesis"), integer("seed", "training seed"), _CANDIDATE_ID,
     real("log_p_plan", "log probability that a plan exists"), real("log_p_exec", "log probability of success given a plan"), real("score", "ranking score: their sum"),
@@ -169,5 +180,5 @@ LABEL_COLUMNS = tuple(column.name for column in (*_PLANNING, *_EXECUTION))
 
 ALL_SCHEMAS = {schema.name: schema for schema in (
     OBJECTS, OBJECT_MESHES, OBJECT_PARTS, STABLE_POSES, GRASP_POOL, SCENES, SCENE_ATTEMPTS, OBSTACLES, TARGETS, SCENE_POINTS, GRASP_ADMISSION, PICK_LIFT, GRASPS,
-    CANDIDATE_PAIRS, PLANNING_LABELS, PLANS, POLICY_FEATURES, EXECUTION_LABELS, CANDIDATES, SPLITS, ATTEMPTS, PREDICTIONS, TIMINGS,
+    CANDIDATE_PAIRS, PLANNING_LABELS, PLANS, POLICY_FEATURES, EXECUTION_LABELS, CANDIDATES, SPLITS, ATTEMPTS, AUDITS, PREDICTIONS, TIMINGS,
 )}  # fmt: skip

@@ -98,3 +98,11 @@ class Perturbation(StrEnum):
     FINE_STEP = "step_1/480s"
     FRICTION_UP = "friction_+5%"
     FRICTION_DOWN = "friction_-5%"
+
+
+class Audit(StrEnum):
+    """How a stored planning label is checked by something other than what made it."""
+
+    PATH_GEOMETRY = "path_geometry"  # the executed path of a solved candidate, rechecked by another collision engine
+    SEARCH_BUDGET = "search_budget"  # a candidate whose search ended by its budget, searched ten times as long
+    REJECTION = "rejection"  # a candidate rejected for another reason, judged again by a slower and finer judge
