@@ -1,0 +1,308 @@
+"""One physics world: table, obstacles, object and Panda in a PyBullet client of its own; motions and verdicts are rollout's.
+
+A state is never saved and restored (Bullet's restore is not reproducible): `rebuild` makes the world anew in a fixed order, and
+what follows is bit-identical in any order and process.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pybullet
+from jaxtyping import Float
+
+from objects.kit import ObjectKit
+from pipelines.physics.bodies import object_body, write_arm
+from pipelines.physics.errors import PhysicsError
+from pipelines.physics.params import PhysicsParams
+from pipelines.robot.arm import fk
+from pipelines.scene import Obstacle
+from tables.poses import inverse, matrix_of, pose_of
+
+__all__ = ["FINGER_LINKS", "GRAVITY_M_S2", "PhysicsParams", "PhysicsWorld"]
+
+GRAVITY_M_S2 = 9.81
+FINGER_LINKS = ("panda_leftfinger", "panda_rightfinger")
+ARM_FORCES_NM = (174.0,) * 4 + (24.0,) * 3  # twice the Panda's rated torques: the real controller compensates gravity, this one does not
+
+
+class PhysicsWorld:
+    """Context manager around one DIRECT client; call `rebuild` before anything else and before every new run.
+
+    Args:
+        kit: the object.
+        obstacles: box obstacles, fixed to the table.
+        params: the physics recipe.
+        friction_scale: multiplies the object's friction, for audits.
+    """
+
+    def __init__(self, kit: ObjectKit, obstacles: Sequence[Obstacle], params: PhysicsParams, friction_scale: float = 1.0) -> None:
+        self.kit, self.obstacles, self.params = kit, tuple(obstacles), params
+        self._friction = kit.friction * friction_scale
+        wanted_n = params.min_finger_force_n + params.finger_force_n_per_kg * kit.mass_kg
+        self.finger_force_n = min(wanted_n, params.max_finger_force_n)
+        self._body = object_body(kit)
+        self._T_mass_object = inverse(self._body.T_object_mass)
+        self._client = -1
+        self._label = ""
+        self._stack: tempfile.TemporaryDirectory[str] | None = None
+        self._ids: dict[str, int] = {}
+        self._links: dict[str, int] = {}
+        self._fixed = ("table", *(f"obstacle {obstacle.obstacle_id}" for obstacle in self.obstacles))
+        self.n_steps = 0
+
+    def __enter__(self) -> Self:
+        self._stack = tempfile.TemporaryDirectory(prefix="placebench-physics-")
+        folder = Path(self._stack.name)
+        self._arm_urdf = str(write_arm(folder))
+        self._hulls_obj = str(folder / "object.obj")
+        Path(self._hulls_obj).write_text(self._body.hulls_obj)
+        self._client = pybullet.connect(pybullet.DIRECT)
+        if self._client < 0:
+            raise PhysicsError(f"{self.kit.object_id}: PyBullet gave no client")
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        pybullet.disconnect(physicsClientId=self._client)
+        self._client = -1
+        if self._stack is not None:
+            self._stack.cleanup()
+
+    def rebuild(self, label: str, *, with_robot: bool) -> None:
+        """Make the world anew, always in the same order; `label` names the run in errors."""
+        self._label, self.n_steps, self._ids = label, 0, {}
+        c, p = self._client, self.params
+        pybullet.resetSimulation(physicsClientId=c)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=p.dt_s,
+            numSolverIterations=p.solver_iterations,
+            solverResidualThreshold=p.solver_residual,
+            erp=p.erp,
+            contactERP=p.erp,
+            frictionERP=p.erp,
+            deterministicOverlappingPairs=1,
+            physicsClientId=c,
+        )
+        pybullet.setGravity(0.0, 0.0, -GRAVITY_M_S2, physicsClientId=c)
+        self._add_table()
+        for obstacle in self.obstacles:
+            self._add_box(f"obstacle {obstacle.obstacle_id}", obstacle.size_m / 2, obstacle.T_base_obstacle)
+        self._object = self._ids["object"] = self._add_object()
+        if with_robot:
+            self._robot = self._ids["robot"] = self._add_robot()
+
+    def remove_robot(self) -> None:
+        """Take the arm out of the world: what the object does from here on is its own affair, at a third of the cost."""
+        robot = self._ids.pop("robot", None)
+        if robot is not None:
+            pybullet.removeBody(robot, physicsClientId=self._client)
+
+    def step(self) -> None:
+        """One time step."""
+        pybullet.stepSimulation(physicsClientId=self._client)
+        self.n_steps += 1
+
+    def set_object(self, T_base_object: Float[np.ndarray, "4 4"]) -> None:
+        """Put the object at a pose, at rest."""
+        pose = pose_of(T_base_object @ self._body.T_object_mass)
+        # PyBullet's base pose is the mass frame, not the object frame.
+        pybullet.resetBasePositionAndOrientation(self._object, pose[:3].tolist(), pose[3:].tolist(), physicsClientId=self._client)
+        pybullet.resetBaseVelocity(self._object, [0.0] * 3, [0.0] * 3, physicsClientId=self._client)
+
+    def object_pose(self) -> Float[np.ndarray, "4 4"]:
+        """T_base_object.
+
+        Raises:
+            PhysicsError: the pose is not finite.
+        """
+        position, quaternion = pybullet.getBasePositionAndOrientation(self._object, physicsClientId=self._client)
+        pose = np.array([*position, *quaternion])
+        if not np.all(np.isfinite(pose)) or np.abs(pose[:3]).max() > 1e3:
+            raise PhysicsError(f"{self._label}: object pose {pose.tolist()} after {self.n_steps} steps, must be finite and within 1000 m")
+        return matrix_of(pose) @ self._T_mass_object
+
+    def object_speed(self) -> tuple[float, float]:
+        """Speed of the centre of mass in m/s and rate of turn in rad/s."""
+        v, w = pybullet.getBaseVelocity(self._object, physicsClientId=self._client)
+        return float(np.linalg.norm(v)), float(np.linalg.norm(w))
+
+    def set_arm(self, q: Float[np.ndarray, "7"], fingers_m: Sequence[float]) -> None:
+        """Put arm and fingers (opening of each) at rest at a configuration and command both to stay."""
+        for joint, value in zip((*self._arm, *self._fingers), (*q, *fingers_m), strict=True):
+            pybullet.resetJointState(self._robot, joint, float(value), 0.0, physicsClientId=self._client)
+        self.command_arm(q.tolist(), [0.0] * 7)
+        self.command_fingers(0.0)
+
+    def command_arm(self, q: Sequence[float], qd: Sequence[float]) -> None:
+        """Position targets with velocity feed-forward; they hold until the next command."""
+        pybullet.setJointMotorControlArray(
+            self._robot,
+            self._arm,
+            pybullet.POSITION_CONTROL,
+            targetPositions=q,
+            targetVelocities=qd,
+            positionGains=self._gains[0],
+            velocityGains=self._gains[1],
+            forces=ARM_FORCES_NM,
+            physicsClientId=self._client,
+        )
+
+    def command_fingers(self, speed_m_s: float) -> None:
+        """Speed of each finger, positive opens; blocked fingers press with the grip force."""
+        pybullet.setJointMotorControlArray(
+            self._robot,
+            self._fingers,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=[speed_m_s] * 2,
+            forces=[self.finger_force_n] * 2,
+            physicsClientId=self._client,
+        )
+
+    def arm_state(self) -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "2"]]:
+        """Measured arm configuration in radians and opening of each finger in metres."""
+        states = pybullet.getJointStates(self._robot, (*self._arm, *self._fingers), physicsClientId=self._client)
+        q = np.array([state[0] for state in states])
+        if not np.all(np.isfinite(q)):
+            raise PhysicsError(f"{self._label}: joint positions {q.tolist()} after {self.n_steps} steps, must be finite")
+        return q[:7], q[7:]
+
+    def tcp_pose(self) -> Float[np.ndarray, "4 4"]:
+        """T_base_tcp of the measured configuration."""
+        return fk(self.arm_state()[0])
+
+    def inhand_pose(self) -> Float[np.ndarray, "4 4"]:
+        """T_tcp_object, measured."""
+        return inverse(self.tcp_pose()) @ self.object_pose()
+
+    def force_n(self, body: str, other: str, link: str | None = None) -> float:
+        """Sum of normal contact forces between two bodies in the last step, in newton.
+
+        Args:
+            body: "object" or "robot".
+            other: "object", "table", "obstacle 0", ...
+            link: only this link of the robot.
+        """
+        return sum(point[9] for point in self._points(body, other, link))
+
+    def deepest_contact_m(self, body: str, other: str) -> float:
+        """Largest penetration between two bodies in the last step, in metres; 0 without contact."""
+        return max((-point[8] for point in self._points(body, other, None)), default=0.0)
+
+    def is_clear(self, gap_m: float) -> bool:
+        """Whether robot and object are further apart than a gap."""
+        a, b = self._ids["robot"], self._ids["object"]
+        return not pybullet.getClosestPoints(a, b, gap_m, physicsClientId=self._client)
+
+    def n_contacts(self, body: str, other: str) -> int:
+        """Contact points between two bodies in the last step."""
+        return len(self._points(body, other, None))
+
+    @property
+    def has_robot(self) -> bool:
+        """Whether the robot is in the world."""
+        return "robot" in self._ids
+
+    @property
+    def fixed_bodies(self) -> tuple[str, ...]:
+        """Names of the table and the obstacles."""
+        return self._fixed
+
+    def _points(self, body: str, other: str, link: str | None) -> Sequence[Any]:
+        a, b = self._ids.get(body), self._ids.get(other)
+        if a is None or b is None:
+            return ()
+        if link is None:
+            return pybullet.getContactPoints(bodyA=a, bodyB=b, physicsClientId=self._client) or ()
+        return pybullet.getContactPoints(bodyA=a, bodyB=b, linkIndexA=self._links[link], physicsClientId=self._client) or ()
+
+    def _add_table(self) -> None:
+        (x0, x1), (y0, y1), thickness = self.params.table_x_m, self.params.table_y_m, self.params.table_thickness_m
+        T = np.eye(4)
+        T[:3, 3] = (x0 + x1) / 2, (y0 + y1) / 2, -thickness / 2
+        table = self._add_box("table", np.array([x1 - x0, y1 - y0, thickness]) / 2, T)
+        pybullet.changeDynamics(table, -1, rollingFriction=self.params.rolling_friction, physicsClientId=self._client)
+
+    def _add_box(self, name: str, half_extents_m: Float[np.ndarray, "3"], T_base_box: Float[np.ndarray, "4 4"]) -> int:
+        c, pose = self._client, pose_of(T_base_box)
+        shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half_extents_m.tolist(), physicsClientId=c)
+        body = pybullet.createMultiBody(0.0, shape, basePosition=pose[:3].tolist(), baseOrientation=pose[3:].tolist(), physicsClientId=c)
+        self._ids[name] = int(body)
+        spinning = self.params.spinning_friction
+        pybullet.changeDynamics(
+            body, -1, lateralFriction=self.params.table_friction, spinningFriction=spinning, restitution=0.0, physicsClientId=c
+        )
+        return int(body)
+
+    def _add_object(self) -> int:
+        c, body = self._client, self._body
+        parts: dict[str, list[Any]] = {"shapeTypes": [], "halfExtents": [], "fileNames": [], "collisionFramePositions": []}
+        for box in body.boxes:
+            _extend(parts, pybullet.GEOM_BOX, box.half_extents_m.tolist(), "", box.centre_m.tolist())
+        if body.hulls_obj:
+            _extend(parts, pybullet.GEOM_MESH, [1.0] * 3, self._hulls_obj, [0.0] * 3)
+        try:
+            shape = pybullet.createCollisionShapeArray(**parts, physicsClientId=c)
+            number = pybullet.createMultiBody(
+                self.kit.mass_kg,
+                shape,
+                baseInertialFramePosition=body.mass_pose[:3].tolist(),
+                baseInertialFrameOrientation=body.mass_pose[3:].tolist(),
+                # A plain rigid body is cheaper than a multibody without joints.
+                useMaximalCoordinates=True,
+                physicsClientId=c,
+            )
+        except pybullet.error as error:
+            raise PhysicsError(f"{self._label}: {self.kit.object_id} with {len(self.kit.parts)} convex parts: {error}") from error
+        pybullet.changeDynamics(
+            number,
+            -1,
+            # Bullet takes a rigid body's mass for 0 where only its inertia is given.
+            mass=self.kit.mass_kg,
+            localInertiaDiagonal=body.principal_inertia_kg_m2.tolist(),
+            lateralFriction=self._friction,
+            spinningFriction=0.0,
+            rollingFriction=0.0,
+            restitution=0.0,
+            physicsClientId=c,
+        )
+        return int(number)
+
+    def _add_robot(self) -> int:
+        c, p = self._client, self.params
+        flags = pybullet.URDF_USE_INERTIA_FROM_FILE
+        robot = int(pybullet.loadURDF(self._arm_urdf, useFixedBase=True, flags=flags, physicsClientId=c))
+        joints = {}
+        for k in range(pybullet.getNumJoints(robot, physicsClientId=c)):
+            info = pybullet.getJointInfo(robot, k, physicsClientId=c)
+            joints[info[1].decode()] = k
+            self._links[info[12].decode()] = k
+        self._arm = [joints[f"panda_joint{k}"] for k in range(1, 8)]
+        self._fingers = [joints[f"panda_finger_joint{k}"] for k in (1, 2)]
+        self._gains = [p.arm_position_gain] * 7, [p.arm_velocity_gain] * 7
+        for k in (*self._fingers, joints["panda_hand_joint"]):
+            pybullet.changeDynamics(
+                robot,
+                k,
+                lateralFriction=p.finger_friction,
+                spinningFriction=p.spinning_friction,
+                restitution=0.0,
+                # Pads solve nothing before they touch: cheaper, and without it held objects slip more. Not so the object itself, which
+                # would then sink half a millimetre into the table when it is set down.
+                contactProcessingThreshold=0.0,
+                physicsClientId=c,
+            )
+        gear = pybullet.createConstraint(
+            robot, self._fingers[0], robot, self._fingers[1], pybullet.JOINT_GEAR, [0, 1, 0], [0] * 3, [0] * 3, physicsClientId=c
+        )
+        pybullet.changeConstraint(gear, gearRatio=-1, erp=p.gear_erp, maxForce=p.gear_force_n, physicsClientId=c)
+        return robot
+
+
+def _extend(parts: dict[str, list[Any]], kind: int, half_extents: list[float], file: str, centre: list[float]) -> None:
+    for name, value in zip(parts, (kind, half_extents, file, centre), strict=True):
+        parts[name].append(value)

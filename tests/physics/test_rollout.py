@@ -1,0 +1,99 @@
+"""Holding and letting go: a grasped object must not creep, fingers must stop where they are told, rest must be recognised."""
+
+from __future__ import annotations
+
+import numpy as np
+import pybullet
+import pytest
+
+from pipelines.physics.rollout import Phase, close_fingers, hold, n_steps_of, open_fingers, pose_difference, pressing_fingers, settle
+from pipelines.physics.world import PhysicsWorld
+from pipelines.robot.arm import HOME_Q_RAD
+from pipelines.scene import LiftedGrasp
+from tests.physics.lifted import PHYSICS, lifted
+
+
+def _held(world: PhysicsWorld, grasp: LiftedGrasp) -> None:
+    world.rebuild("held", with_robot=True)
+    world.set_arm(grasp.lifted_q_rad, grasp.fingers_m)
+    world.set_object(grasp.T_base_lifted)
+    world.command_fingers(-PHYSICS.finger_speed_m_s)
+    hold(world, Phase.HOLD, 0.05)
+
+
+@pytest.mark.parametrize("name", ["can", "cuboid"])
+def test_a_grasped_object_does_not_creep(name: str) -> None:
+    """Less than 1 mm and 1 degree in five seconds; the arm does not move either, and no finger goes into the object."""
+    case = lifted(name)
+    assert case.grasps
+    for grasp in case.grasps:
+        with PhysicsWorld(case.kit, (), PHYSICS) as world:
+            _held(world, grasp)
+            before, q_before = world.inhand_pose(), world.arm_state()[0]
+            hold(world, Phase.HOLD, 5.0)
+            moved_m, turned_rad = pose_difference(before, world.inhand_pose())
+            assert moved_m < 1e-3
+            assert turned_rad < np.radians(1.0)
+            assert np.abs(world.arm_state()[0] - q_before).max() < 1e-4
+            assert world.deepest_contact_m("robot", "object") < 1e-3
+            assert pressing_fingers(world) == 2
+
+
+def test_fingers_press_with_the_force_of_the_recipe() -> None:
+    case = lifted("can")
+    with PhysicsWorld(case.kit, (), PHYSICS) as world:
+        _held(world, case.grasps[0])
+        hold(world, Phase.HOLD, 0.5)
+        for link in ("panda_leftfinger", "panda_rightfinger"):
+            assert world.force_n("robot", "object", link) == pytest.approx(15.0 + 50.0 * case.kit.mass_kg, rel=0.02)
+
+
+def test_fingers_open_to_the_jaw_and_stop() -> None:
+    case = lifted("can")
+    with PhysicsWorld(case.kit, (), PHYSICS) as world:
+        world.rebuild("open", with_robot=True)
+        world.set_arm(HOME_Q_RAD, (0.01, 0.01))
+        world.set_object(case.scene.T_base_object)
+        assert open_fingers(world, 0.05, 1.0)
+        hold(world, Phase.OPEN, 0.2)
+        # At most two steps at 0.1 m/s too far.
+        np.testing.assert_allclose(world.arm_state()[1], 0.025, atol=0.0012)
+        assert not open_fingers(world, 0.09, 0.5)  # wider than the jaw
+
+
+def test_fingers_that_close_on_nothing_say_so() -> None:
+    case = lifted("can")
+    with PhysicsWorld(case.kit, (), PHYSICS) as world:
+        world.rebuild("empty", with_robot=True)
+        world.set_arm(HOME_Q_RAD, (0.02, 0.02))
+        world.set_object(case.scene.T_base_object)
+        assert not close_fingers(world, 0.5)
+        assert world.arm_state()[1].max() < 1e-3
+
+
+def test_a_watch_ends_a_motion_and_sees_it_at_the_pace_of_the_recipe() -> None:
+    case = lifted("can")
+    seen: list[int] = []
+    with PhysicsWorld(case.kit, (), PHYSICS) as world:
+        world.rebuild("watched", with_robot=False)
+        world.set_object(case.scene.T_base_object)
+
+        def watch(phase: Phase) -> bool:
+            seen.append(world.n_steps)
+            return len(seen) == 3
+
+        assert not hold(world, Phase.HOLD, 1.0, watch)
+        assert seen == [8, 16, 24]
+        assert world.n_steps == 24
+        assert n_steps_of(world, 0.5) == 120
+
+
+def test_what_keeps_moving_is_not_settled() -> None:
+    case = lifted("can")
+    with PhysicsWorld(case.kit, (), PHYSICS) as world:
+        world.rebuild("sliding", with_robot=False)
+        world.set_object(case.scene.T_base_object)
+        assert settle(world, 100)
+        assert world.n_steps == 24  # three checks, eight steps apart
+        pybullet.resetBaseVelocity(world._object, [0.0, 0.0, 3.0], [0.0] * 3, physicsClientId=world._client)
+        assert not settle(world, 100)
