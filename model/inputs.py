@@ -1,0 +1,218 @@
+"""The five inputs of the ranker, enforced by column name, and their reading from a release; labels are read elsewhere (labels.py).
+
+Everything here is known before motion planning. A column that only planning, pick-lift or execution can know raises.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from jaxtyping import Float, Float32, Int
+
+from model.settings import RankerError
+from tables import schemas
+from tables.poses import inverse, matrix_of, pose_columns
+from tables.vocabulary import PointType
+
+# Point types as the network counts them; `target`, the virtual copy, is made in clouds.py and never stored.
+TYPE_NAMES = (PointType.ENVIRONMENT.value, PointType.OBJECT.value, "target", PointType.OBSTACLE.value)
+ENVIRONMENT, OBJECT, TARGET, OBSTACLE = range(4)
+
+# What feeds each input: table -> columns. The virtual target copy in the cloud is the object's points moved by
+# T_base_target @ inv(T_base_object). The object-relative pose is inv(T_base_grasp) @ T_base_object of the *initial* object: supplied with
+# the candidate, never measured after the lift.
+FIVE_INPUTS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "scene_cloud": {"scene_points": ("x_m", "y_m", "z_m"), "scenes": pose_columns("object"), "targets": pose_columns("target")},
+        "point_types": {"scene_points": ("point_type",)},
+        "grasp_pose": {"grasps": pose_columns("grasp")},
+        "target_pose": {"targets": pose_columns("target")},
+        "object_relative_pose": {"grasps": pose_columns("grasp"), "scenes": pose_columns("object")},
+    }
+)
+# Columns that say which row belongs to which; they order and join, and never reach the network.
+KEY_COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "scene_points": ("scene_id", "point"),
+        "scenes": ("scene_id",),
+        "targets": ("scene_id", "target_id"),
+        "grasps": ("scene_id", "grasp_id"),
+        "candidates": ("scene_id", "target_id", "grasp_id", "candidate_id"),
+        "splits": ("scene_id", "split"),
+    }
+)
+_AFTER = {
+    *schemas.LABEL_COLUMNS,
+    *schemas.PICK_LIFT.names,
+    *schemas.PLANS.names,
+    *schemas.ATTEMPTS.names,
+    *schemas.TIMINGS.names,
+    *schemas.PREDICTIONS.names,
+}
+FORBIDDEN_COLUMNS = frozenset(_AFTER - {"scene_id", "target_id", "grasp_id", "candidate_id"})
+
+
+class InputError(RankerError):
+    """A release that the ranker cannot read; names file or id."""
+
+
+class ForbiddenColumnError(InputError):
+    """A request for a column that is not one of the five inputs."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneCloud:
+    """Points of the initial scene, base frame; no target copy yet."""
+
+    scene_id: str
+    points_m: Float32[np.ndarray, "n 3"]
+    point_types: Int[np.ndarray, "n"]
+    T_base_object: Float[np.ndarray, "4 4"]
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseInputs:
+    """The inputs of every candidate of some scenes, in (scene_id, target_id, grasp_id) order.
+
+    Scenes, fixed-target groups and candidates are numbered; a group points at its scene and a candidate at its group.
+    """
+
+    clouds: tuple[SceneCloud, ...]
+    group_scene: Int[np.ndarray, "g"]
+    group_target_id: Int[np.ndarray, "g"]
+    T_base_target: Float[np.ndarray, "g 4 4"]
+    candidate_ids: tuple[str, ...]
+    candidate_group: Int[np.ndarray, "c"]
+    T_base_grasp: Float[np.ndarray, "c 4 4"]
+    T_grasp_object: Float[np.ndarray, "c 4 4"]
+
+
+def read_inputs(release_dir: Path, scene_ids: Collection[str] | None = None) -> ReleaseInputs:
+    """The five inputs of the candidates of `scene_ids`, or of all scenes that have candidates.
+
+    Raises:
+        InputError: a table is missing, a candidate without scene, target or grasp, or an object that no camera saw.
+    """
+    keys = read_columns(release_dir, "candidates", KEY_COLUMNS["candidates"])
+    keys = keys.sort_by([(name, "ascending") for name in ("scene_id", "target_id", "grasp_id")])
+    if scene_ids is not None:
+        keys = keys.filter(pc.is_in(keys["scene_id"], pa.array(sorted(scene_ids), pa.string())))
+    scene_of = np.array(keys["scene_id"].to_pylist(), dtype=object)
+    target_of, grasp_of = keys["target_id"].to_numpy(), keys["grasp_id"].to_numpy()
+    scenes = sorted(set(scene_of))
+
+    objects = _poses_by_key(release_dir, "scenes", ("scene_id",), "object")
+    targets = _poses_by_key(release_dir, "targets", ("scene_id", "target_id"), "target")
+    grasps = _poses_by_key(release_dir, "grasps", ("scene_id", "grasp_id"), "grasp")
+    groups = sorted(set(zip(scene_of, target_of.tolist(), strict=True)))
+    number_of_scene = {scene_id: k for k, scene_id in enumerate(scenes)}
+    number_of_group = {group: k for k, group in enumerate(groups)}
+
+    T_base_object = _looked_up("scenes", objects, [(scene_id,) for scene_id in scenes])
+    T_base_grasp = _looked_up("grasps", grasps, list(zip(scene_of, grasp_of.tolist(), strict=True)))
+    of_candidate = np.array([number_of_scene[scene_id] for scene_id in scene_of], dtype=np.int64)
+    return ReleaseInputs(
+        clouds=_read_clouds(release_dir, scenes, T_base_object),
+        group_scene=np.array([number_of_scene[scene_id] for scene_id, _ in groups], dtype=np.int64),
+        group_target_id=np.array([target_id for _, target_id in groups], dtype=np.int64),
+        T_base_target=_looked_up("targets", targets, groups),
+        candidate_ids=tuple(keys["candidate_id"].to_pylist()),
+        candidate_group=np.array([number_of_group[group] for group in zip(scene_of, target_of.tolist(), strict=True)], dtype=np.int64),
+        T_base_grasp=T_base_grasp,
+        T_grasp_object=inverse(T_base_grasp) @ T_base_object[of_candidate],
+    )
+
+
+def restricted(inputs: ReleaseInputs, groups: Int[np.ndarray, "k"]) -> ReleaseInputs:
+    """The inputs of some fixed-target groups alone; `groups` ascending."""
+    scenes = np.unique(inputs.group_scene[groups])
+    of_groups = np.isin(inputs.candidate_group, groups)
+    return ReleaseInputs(
+        clouds=tuple(inputs.clouds[scene] for scene in scenes),
+        group_scene=np.searchsorted(scenes, inputs.group_scene[groups]),
+        group_target_id=inputs.group_target_id[groups],
+        T_base_target=inputs.T_base_target[groups],
+        candidate_ids=tuple(inputs.candidate_ids[k] for k in np.flatnonzero(of_groups)),
+        candidate_group=np.searchsorted(groups, inputs.candidate_group[of_groups]),
+        T_base_grasp=inputs.T_base_grasp[of_groups],
+        T_grasp_object=inputs.T_grasp_object[of_groups],
+    )
+
+
+def read_columns(release_dir: Path, table: str, columns: Sequence[str]) -> pa.Table:
+    """Named columns of a release table, dictionaries decoded; the one door through which inputs come in.
+
+    Raises:
+        ForbiddenColumnError: a column outside the five inputs and their keys.
+        InputError: the table or a column does not exist.
+    """
+    check_columns(table, columns)
+    path = release_dir / f"{table}.parquet"
+    if not path.exists():
+        raise InputError(f"{path}: missing; a release holds {sorted({*KEY_COLUMNS})}")
+    missing = sorted(set(columns) - set(pq.read_schema(path).names))
+    if missing:
+        raise InputError(f"{path}: column {missing[0]} is missing")
+    read = pq.read_table(path, columns=list(columns))
+    return pa.table({name: read[name].cast(pa.string()) if pa.types.is_dictionary(read[name].type) else read[name] for name in columns})
+
+
+def check_columns(table: str, columns: Sequence[str]) -> None:
+    """Raise ForbiddenColumnError for the first column that the contract does not name."""
+    allowed = set(KEY_COLUMNS.get(table, ())) | {name for sources in FIVE_INPUTS.values() for name in sources.get(table, ())}
+    for column in columns:
+        if column in FORBIDDEN_COLUMNS:
+            raise ForbiddenColumnError(f"{table}.{column}: known only after pick-lift, planning or execution, must not be a model input")
+        if column not in allowed:
+            raise ForbiddenColumnError(f"{table}.{column}: not one of the five inputs; of {table} the ranker reads {sorted(allowed)}")
+
+
+def contract_hash() -> str:
+    """SHA-256 of the contract: a checkpoint trained under another one is refused."""
+    contract = {name: {table: list(columns) for table, columns in sources.items()} for name, sources in FIVE_INPUTS.items()}
+    return hashlib.sha256(json.dumps(contract, sort_keys=True).encode()).hexdigest()
+
+
+def scenes_of_split(release_dir: Path, split: str) -> tuple[str, ...]:
+    """Ids of the scenes of a split, sorted."""
+    splits = read_columns(release_dir, "splits", KEY_COLUMNS["splits"])
+    return tuple(sorted(splits.filter(pc.equal(splits["split"], split))["scene_id"].to_pylist()))
+
+
+def _poses_by_key(release_dir: Path, table: str, key: tuple[str, ...], prefix: str) -> dict[tuple, Float[np.ndarray, "4 4"]]:
+    rows = read_columns(release_dir, table, (*key, *pose_columns(prefix)))
+    poses = matrix_of(np.column_stack([rows[name].to_numpy() for name in pose_columns(prefix)]))
+    return dict(zip(zip(*(rows[name].to_pylist() for name in key), strict=True), poses, strict=True))
+
+
+def _looked_up(table: str, poses: dict[tuple, Float[np.ndarray, "4 4"]], keys: Sequence[tuple]) -> Float[np.ndarray, "n 4 4"]:
+    for key in keys:
+        if key not in poses:
+            raise InputError(f"{table}: no row {key}, which a candidate needs")
+    return np.stack([poses[key] for key in keys]) if keys else np.empty((0, 4, 4))
+
+
+def _read_clouds(release_dir: Path, scenes: Sequence[str], T_base_object: Float[np.ndarray, "s 4 4"]) -> tuple[SceneCloud, ...]:
+    rows = read_columns(release_dir, "scene_points", ("scene_id", "x_m", "y_m", "z_m", "point_type"))
+    points_m = np.column_stack([rows[name].to_numpy() for name in ("x_m", "y_m", "z_m")]).astype(np.float32)
+    types = pc.index_in(rows["point_type"], pa.array(TYPE_NAMES)).to_numpy().astype(np.int64)
+    scene_of = pc.fill_null(pc.index_in(rows["scene_id"], pa.array(scenes, pa.string())), -1).to_numpy()
+    by_scene = np.argsort(scene_of, kind="stable")
+    first = np.searchsorted(scene_of[by_scene], np.arange(len(scenes) + 1))
+    clouds = []
+    for k, (scene_id, T) in enumerate(zip(scenes, T_base_object, strict=True)):
+        mine = by_scene[first[k] : first[k + 1]]
+        for needed in (ENVIRONMENT, OBJECT):
+            if needed not in types[mine]:
+                raise InputError(f"scene_points: {scene_id} has no {TYPE_NAMES[needed]} point, must have at least 1")
+        clouds.append(SceneCloud(scene_id, points_m[mine], types[mine], T))
+    return tuple(clouds)

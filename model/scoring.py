@@ -1,0 +1,178 @@
+"""What a trained ranker says of every candidate, and how long it takes to say it; judging the scores is reports'.
+
+`python -m model.scoring --release DIR --checkpoint DIR --out predictions.parquet`
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import torch
+from jaxtyping import Float, Int
+
+from model.batches import EncodedRelease, encode_release, model_input
+from model.checkpoint import load_checkpoint
+from model.determinism import deterministic, device_named
+from model.inputs import InputError, ReleaseInputs, read_inputs, restricted, scenes_of_split
+from model.ranker import Prediction, Ranker
+from model.settings import RankerError
+from tables.schemas import PREDICTIONS
+from tables.store import StoreError, table_from_columns, write_table
+
+_GROUPS_AT_ONCE = 32  # bounds memory; a cloud's feature does not depend on which clouds share its batch
+
+
+@dataclass(frozen=True, slots=True)
+class DecisionTime:
+    """Time to order one group, from the scene's points and poses in memory to scores; reading files is not in it.
+
+    `prepare_s` samples the cloud, adds the target copies and finds neighbours on the CPU; `forward_s` runs the network on the device.
+    """
+
+    task: str  # joint or fixed
+    scene_id: str
+    target_id: int | None  # None in the joint task
+    n_candidates: int
+    prepare_s: float
+    forward_s: float
+
+
+def score(release_dir: Path, checkpoint_dir: Path, device: str = "auto") -> pa.Table:
+    """Rows of `predictions` for all candidates of a release, in every split.
+
+    Raises:
+        RankerError: the release lacks an input, or the checkpoint is not one.
+    """
+    ranker, identity, _ = load_checkpoint(checkpoint_dir)
+    inputs = read_inputs(release_dir)
+    if not inputs.candidate_ids:
+        raise InputError(f"{release_dir}/candidates.parquet: no candidates to score, must have at least 1")
+    release = encode_release(inputs, identity.settings, identity.variant)
+    chosen_device = device_named(device)
+    with deterministic(identity.settings, chosen_device):
+        prediction = predict(ranker.to(chosen_device), release, np.arange(len(release.group_scene)))
+    columns = {name: getattr(prediction, name).double().cpu().numpy() for name in ("log_p_plan", "log_p_exec")}
+    n = len(inputs.candidate_ids)
+    return table_from_columns(
+        PREDICTIONS,
+        {
+            "variant": [identity.variant.value] * n,
+            "seed": np.full(n, identity.seed, dtype=np.int32),
+            "candidate_id": list(inputs.candidate_ids),
+            **columns,
+            "score": columns["log_p_plan"] + columns["log_p_exec"],
+        },
+    )
+
+
+def predict(ranker: Ranker, release: EncodedRelease, groups: Int[np.ndarray, "g"]) -> Prediction:
+    """Prediction for the candidates of some groups, in order, without dropout and gradients, in float32."""
+    device = next(ranker.parameters()).device
+    was_training = ranker.training
+    ranker.eval()
+    with torch.inference_mode():
+        parts = [ranker(model_input(release, some, device)) for some in _chunks(groups)]
+    ranker.train(was_training)
+    plan = [part.plan_logit for part in parts if part.plan_logit is not None]
+    execution = [part.exec_logit for part in parts]
+    return Prediction(torch.cat(plan) if plan else None, torch.cat(execution))
+
+
+def decision_times(
+    release_dir: Path, checkpoint_dir: Path, split: str = "test", n_scenes: int = 20, device: str = "auto"
+) -> list[DecisionTime]:
+    """Decision time of the joint group and of every fixed-target group of the first `n_scenes` scenes of a split.
+
+    Wall-clock, one group at a time, the device synchronised before and after; the first scene is decided once beforehand, unmeasured.
+    """
+    ranker, identity, _ = load_checkpoint(checkpoint_dir)
+    chosen_device = device_named(device)
+    ranker = ranker.to(chosen_device)
+    inputs = read_inputs(release_dir, scenes_of_split(release_dir, split)[:n_scenes])
+    times = []
+    with deterministic(identity.settings, chosen_device):
+        for scene, cloud in enumerate(inputs.clouds):
+            groups = np.flatnonzero(inputs.group_scene == scene)
+            if scene == 0:
+                _timed(ranker, restricted(inputs, groups))
+            n, prepare_s, forward_s = _timed(ranker, restricted(inputs, groups))
+            times.append(DecisionTime("joint", cloud.scene_id, None, n, prepare_s, forward_s))
+            for group in groups:
+                n, prepare_s, forward_s = _timed(ranker, restricted(inputs, np.array([group])))
+                times.append(DecisionTime("fixed", cloud.scene_id, int(inputs.group_target_id[group]), n, prepare_s, forward_s))
+    return times
+
+
+def _timed(ranker: Ranker, inputs: ReleaseInputs) -> tuple[int, float, float]:
+    """(candidates, seconds to prepare, seconds to run the network)."""
+    device = next(ranker.parameters()).device
+    start_s = time.perf_counter()
+    release = encode_release(inputs, ranker.settings, ranker.variant)
+    x = model_input(release, np.arange(len(release.group_scene)), device)
+    _synchronise(device)
+    prepared_s = time.perf_counter()
+    with torch.inference_mode():
+        ranker(x).score.cpu()
+    _synchronise(device)
+    return len(inputs.candidate_ids), prepared_s - start_s, time.perf_counter() - prepared_s
+
+
+def _synchronise(device: torch.device) -> None:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def _chunks(groups: Int[np.ndarray, "g"]) -> list[Int[np.ndarray, "_k"]]:
+    return [groups[first : first + _GROUPS_AT_ONCE] for first in range(0, len(groups), _GROUPS_AT_ONCE)]
+
+
+def success_at_1(score: Float[np.ndarray, "c"], success: np.ndarray, group: Int[np.ndarray, "c"]) -> tuple[float | None, int]:
+    """(share of covered groups whose best-scored candidate succeeds, covered groups); None where no group is covered.
+
+    A tie goes to the first candidate, which is the lowest grasp and target id.
+    """
+    order = np.lexsort((np.arange(len(score)), -score, group))
+    numbers, first = np.unique(group[order], return_index=True)
+    is_covered = np.isin(numbers, group[success])
+    hits = success[order[first]][is_covered]
+    return (float(hits.mean()) if len(hits) else None), len(hits)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m model.scoring", description="Score every candidate of a release with a trained ranker."
+    )
+    parser.add_argument("--release", type=Path, required=True, help="folder with <table>.parquet")
+    parser.add_argument("--checkpoint", type=Path, required=True, help="folder that model.training wrote")
+    parser.add_argument("--out", type=Path, required=True, help="Parquet file of predictions to write")
+    parser.add_argument("--device", default="auto", help="auto, cpu or cuda")
+    parser.add_argument("--time", type=int, metavar="SCENES", default=0, help="also measure decision times on this many test scenes")
+    options = parser.parse_args(arguments)
+    try:
+        predictions = score(options.release, options.checkpoint, options.device)
+        write_table(PREDICTIONS, predictions, options.out)
+        print(f"{options.out}: {predictions.num_rows} candidates scored")
+        if options.time:
+            _print_times(decision_times(options.release, options.checkpoint, n_scenes=options.time, device=options.device))
+    except (RankerError, StoreError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _print_times(times: list[DecisionTime]) -> None:
+    for task in ("joint", "fixed"):
+        mine = [t for t in times if t.task == task]
+        if mine:
+            prepare_ms, forward_ms, n = (1e3 * np.mean([t.prepare_s for t in mine]), 1e3 * np.mean([t.forward_s for t in mine]), len(mine))
+            print(f"{task}: {prepare_ms + forward_ms:.1f} ms a group (prepare {prepare_ms:.1f}, forward {forward_ms:.1f}) over {n} groups")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

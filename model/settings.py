@@ -1,0 +1,167 @@
+"""What a training run may choose, each with its reason; the recipe of the labels and the split are not among it."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+
+class RankerError(ValueError):
+    """Base of every error this package raises on purpose."""
+
+
+class SettingsError(RankerError):
+    """A setting that cannot be; names field, value and bound."""
+
+
+class Variant(StrEnum):
+    """The ranker and its three ablations."""
+
+    FULL = "full"
+    DIRECT = "direct"  # one head for final success, trained on all candidates
+    NO_OBJECT_RELATIVE = "no_object_relative"  # the branch's 128 numbers are zero, every width stays
+    NO_TARGET_HYPOTHESIS = "no_target_hypothesis"  # the cloud without the virtual target copy, nothing else changes
+
+
+@dataclass(frozen=True, slots=True)
+class RankerSettings:
+    """Sizes of the network, fixed normalisation, loss weights and optimisation. The defaults are the `full` setting."""
+
+    name: str = "full"
+
+    # The cloud. A quarter of the points a type: sampled uniformly, nearly all would lie on the table, which is the same in every scene.
+    n_points: int = 1024
+    n_centres_1: int = 256
+    n_neighbours_1: int = 32
+    radius_1_m: float = 0.08  # a hand's width: the local shape a finger meets
+    n_centres_2: int = 64
+    n_neighbours_2: int = 32
+    radius_2_m: float = 0.20  # an object and what stands next to it
+    crop_centre_m: tuple[float, float, float] = (0.5, 0.0, 0.2)  # middle of the table area within reach
+    crop_half_m: tuple[float, float, float] = (0.6, 0.7, 0.6)  # environment points further out cannot touch hand or object
+
+    # Normalisation: constants and not statistics, so that a checkpoint means the same on every release.
+    workspace_centre_m: tuple[float, float, float] = (0.5, 0.0, 0.1)
+    workspace_scale_m: float = 0.5  # brings positions within reach to about [-1, 1]
+    hand_scale_m: float = 0.1  # an object's offset from the grasp frame is at most its half length
+
+    # The network. Feature sizes 512, 256, 128, 128 and the fusion 1024 -> 512 -> 256 belong to the architecture and are not settings.
+    widths_1: tuple[int, ...] = (64, 64, 128)
+    widths_2: tuple[int, ...] = (128, 128, 256)
+    width_global: int = 256
+    n_type_features: int = 8
+    n_frequencies: int = (
+        4  # finest wave 12 cm in the workspace, 2.5 cm in the hand; two octaves more only fitted the training scenes better
+    )
+    dropout: float = 0.1  # on the fusion layers: candidates of one scene share the cloud, so scenes are memorised quickly
+
+    # The loss: 2 planning + 1 execution + 0.1 ranking.
+    weight_plan: float = 2.0
+    weight_exec: float = 1.0
+    weight_rank: float = 0.1
+
+    # Optimisation.
+    n_epochs: int = 40
+    scenes_per_batch: int = 4  # whole scenes, about 32 clouds and 800 candidates, so that joint groups are complete
+    learning_rate: float = 1e-3
+    warmup_share: float = 0.05  # share of all steps
+    weight_decay: float = 1e-2
+    max_gradient_norm: float = 1.0
+    use_bfloat16: bool = True  # on CUDA only, in training only: scoring is float32 everywhere
+    n_cpu_threads: int = 0  # 0 leaves it to torch: on CUDA it decides nothing
+
+    def __post_init__(self) -> None:
+        for field in _POSITIVE:
+            value = getattr(self, field)
+            if not value > 0:
+                raise SettingsError(f"{field}: {value}, must be above 0")
+        for field in ("weight_plan", "weight_exec", "weight_rank", "weight_decay", "n_cpu_threads"):
+            if not getattr(self, field) >= 0:
+                raise SettingsError(f"{field}: {getattr(self, field)}, must be at least 0")
+        for field, low, high in (("dropout", 0.0, 1.0), ("warmup_share", 0.0, 1.0)):
+            if not low <= getattr(self, field) < high:
+                raise SettingsError(f"{field}: {getattr(self, field)}, must be in [{low}, {high})")
+        if self.n_points % 4 or self.n_points > 16_384:
+            raise SettingsError(f"n_points: {self.n_points}, must be a multiple of 4 (one quarter a point type) and at most 16384")
+        for field, bound in (("n_centres_1", self.n_points * 3 // 4), ("n_centres_2", self.n_centres_1)):
+            if getattr(self, field) > bound:
+                raise SettingsError(f"{field}: {getattr(self, field)}, must be at most {bound}")
+        for field in ("crop_centre_m", "crop_half_m", "workspace_centre_m"):
+            if len(getattr(self, field)) != 3:
+                raise SettingsError(f"{field}: {getattr(self, field)}, must have 3 numbers")
+        for field in ("widths_1", "widths_2"):
+            if len(getattr(self, field)) < 2 or min(getattr(self, field)) < 1:
+                raise SettingsError(f"{field}: {getattr(self, field)}, must be at least 2 widths of at least 1")
+
+
+_POSITIVE = (
+    *("n_points", "n_centres_1", "n_neighbours_1", "radius_1_m", "n_centres_2", "n_neighbours_2", "radius_2_m"),
+    *("workspace_scale_m", "hand_scale_m", "width_global", "n_type_features", "n_frequencies"),
+    *("n_epochs", "scenes_per_batch", "learning_rate", "max_gradient_norm"),
+)
+
+FULL = RankerSettings()
+
+# For `mini` on two CPU cores: an eighth of the neighbourhoods and half the widths, so that 12 scenes train in well under a minute.
+LIGHT = RankerSettings(
+    name="light",
+    n_points=512,
+    n_centres_1=128,
+    n_neighbours_1=16,
+    radius_1_m=0.10,  # fewer points need a wider ball to find as many neighbours
+    n_centres_2=32,
+    n_neighbours_2=16,
+    radius_2_m=0.25,
+    widths_1=(32, 32, 64),
+    widths_2=(64, 64, 128),
+    width_global=128,
+    n_frequencies=2,  # eight scenes hold 64 target poses: finer waves memorise them
+    dropout=0.3,
+    n_epochs=24,
+    scenes_per_batch=1,  # eight training scenes: more, smaller steps
+    use_bfloat16=False,
+    # One: sums come out the same on every machine, and on a busy machine two threads that wait for each other took three times as long.
+    n_cpu_threads=1,
+)
+
+_NAMED = {settings.name: settings for settings in (FULL, LIGHT)}
+
+
+def settings_named(name: str) -> RankerSettings:
+    """`full` or `light`; raises SettingsError on another name."""
+    if name not in _NAMED:
+        raise SettingsError(f"setting {name!r}, must be one of {sorted(_NAMED)}")
+    return _NAMED[name]
+
+
+def variant_named(name: str) -> Variant:
+    """The variant of that name; raises SettingsError on another name."""
+    try:
+        return Variant(name)
+    except ValueError:
+        raise SettingsError(f"variant {name!r}, must be one of {[v.value for v in Variant]}") from None
+
+
+def settings_to_dict(settings: RankerSettings) -> dict[str, Any]:
+    """Plain values that JSON holds."""
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(settings).items()}
+
+
+def settings_from_dict(values: Mapping[str, Any]) -> RankerSettings:
+    """Inverse of `settings_to_dict`; raises SettingsError on an unknown or missing name or a value of another type."""
+    kinds = typing.get_type_hints(RankerSettings)
+    if set(values) != set(kinds):
+        raise SettingsError(f"settings {sorted(set(values) ^ set(kinds))} are unknown or missing")
+    return RankerSettings(**{name: _typed(name, kind, values[name]) for name, kind in kinds.items()})
+
+
+def _typed(name: str, kind: Any, value: Any) -> Any:
+    if typing.get_origin(kind) is tuple:
+        return tuple(_typed(name, typing.get_args(kind)[0], number) for number in value)
+    allowed = (int, float) if kind is float else (kind,)
+    if not isinstance(value, allowed) or (isinstance(value, bool) and kind is not bool):
+        raise SettingsError(f"{name}: {value!r}, must be {kind.__name__}")
+    return kind(value)

@@ -1,0 +1,41 @@
+"""Synthetic releases shared by the ranker's tests, and the smallest settings that still have every part."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import settings as hypothesis_settings
+
+from model.settings import LIGHT, RankerSettings
+from tests.model.synthetic_release import write_synthetic_release
+
+# The first example of a test may compile kernels; how long an example takes is no law of the ranker.
+hypothesis_settings.register_profile("no deadline", deadline=None)
+hypothesis_settings.load_profile("no deadline")
+
+TINY = replace(
+    LIGHT,
+    name="tiny",
+    n_points=64,
+    n_centres_1=16,
+    n_neighbours_1=8,
+    n_centres_2=8,
+    n_neighbours_2=4,
+    widths_1=(8, 12),
+    widths_2=(16, 24),
+    width_global=32,
+    n_epochs=4,
+)
+
+
+@pytest.fixture(scope="session")
+def tiny() -> RankerSettings:
+    return TINY
+
+
+@pytest.fixture(scope="session")
+def small_release(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five scenes: three to train on, one validation, one test."""
+    return write_synthetic_release(tmp_path_factory.mktemp("small"), n_scenes=5, seed=3, n_points=160)

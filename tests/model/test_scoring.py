@@ -1,0 +1,105 @@
+"""Laws of scoring: every candidate once, the same whatever it is scored beside, and no score from a changed checkpoint."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from model.batches import encode_release
+from model.checkpoint import CheckpointError, load_checkpoint
+from model.inputs import read_inputs, restricted
+from model.scoring import decision_times, main, predict, score, success_at_1
+from model.settings import RankerSettings
+from model.training import train
+from tables.schemas import PREDICTIONS
+from tables.store import check_table, content_hash, read_table
+
+
+@pytest.fixture(scope="module")
+def checkpoint(small_release: Path, tiny: RankerSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return train(small_release, "full", 7, tiny, tmp_path_factory.mktemp("checkpoint")).checkpoint_dir
+
+
+def test_every_candidate_of_every_split_is_scored_once(small_release: Path, checkpoint: Path) -> None:
+    predictions = score(small_release, checkpoint)
+    check_table(PREDICTIONS, predictions)
+    stored = pq.read_table(small_release / "candidates.parquet")["candidate_id"].to_pylist()
+    assert sorted(stored) == sorted(predictions["candidate_id"].to_pylist())
+    assert set(predictions["variant"].to_pylist()) == {"full"}
+    assert set(predictions["seed"].to_pylist()) == {7}
+    parts = [predictions[name].to_numpy() for name in ("log_p_plan", "log_p_exec", "score")]
+    assert np.all(parts[0] < 0)
+    assert np.all(parts[1] < 0)
+    np.testing.assert_array_equal(parts[0] + parts[1], parts[2])
+
+
+def test_scoring_twice_gives_the_same_table(small_release: Path, checkpoint: Path) -> None:
+    assert content_hash(score(small_release, checkpoint)) == content_hash(score(small_release, checkpoint))
+
+
+def test_a_group_scored_alone_has_the_scores_it_has_among_others(small_release: Path, checkpoint: Path) -> None:
+    ranker, identity, _ = load_checkpoint(checkpoint)
+    inputs = read_inputs(small_release)
+    together = encode_release(inputs, identity.settings, identity.variant)
+    among = predict(ranker, together, np.arange(len(inputs.group_scene))).score.numpy()
+    for group in (0, 9, len(inputs.group_scene) - 1):
+        alone = encode_release(restricted(inputs, np.array([group])), identity.settings, identity.variant)
+        # float32 sums whose order the matrix library chooses by batch size
+        np.testing.assert_allclose(predict(ranker, alone, np.array([0])).score, among[inputs.candidate_group == group], atol=1e-4)
+
+
+def test_decision_times_cover_the_groups_of_the_split(small_release: Path, checkpoint: Path) -> None:
+    times = decision_times(small_release, checkpoint, split="test")
+    inputs = read_inputs(small_release, ["full-0004"])
+    joint, fixed = ([t for t in times if t.task == task] for task in ("joint", "fixed"))
+    assert [(t.scene_id, t.n_candidates) for t in joint] == [("full-0004", len(inputs.candidate_ids))]
+    assert [t.target_id for t in fixed] == inputs.group_target_id.tolist()
+    assert [t.n_candidates for t in fixed] == np.bincount(inputs.candidate_group).tolist()
+    assert all(t.prepare_s > 0 and t.forward_s > 0 for t in times)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_success_at_1_equals_brute_force(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 30))
+    scores, success, group = rng.integers(0, 4, n).astype(float), rng.random(n) < 0.3, rng.integers(0, 5, n)
+    hits = []
+    for number in range(5):
+        mine = [k for k in range(n) if group[k] == number]
+        if any(success[k] for k in mine):
+            hits.append(success[max(mine, key=lambda k: (scores[k], -k))])
+    assert success_at_1(scores, success, group) == ((float(np.mean(hits)) if hits else None), len(hits))
+
+
+def test_a_changed_checkpoint_is_refused(checkpoint: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(checkpoint, tmp_path / "copy"))
+    weights = bytearray((copy / "ranker.safetensors").read_bytes())
+    weights[-1] ^= 1
+    (copy / "ranker.safetensors").write_bytes(bytes(weights))
+    with pytest.raises(CheckpointError, match=r"ranker\.safetensors: SHA-256"):
+        load_checkpoint(copy)
+
+
+def test_a_checkpoint_of_another_contract_is_refused(checkpoint: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(checkpoint, tmp_path / "copy"))
+    described = json.loads((copy / "ranker.json").read_text())
+    (copy / "ranker.json").write_text(json.dumps(described | {"contract_hash": "other"}))
+    with pytest.raises(CheckpointError, match="contract_hash is other"):
+        load_checkpoint(copy)
+
+
+def test_command_line_writes_predictions_or_says_why_not(
+    small_release: Path, checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "predictions.parquet"
+    assert main(["--release", str(small_release), "--checkpoint", str(checkpoint), "--out", str(out)]) == 0
+    assert content_hash(read_table(PREDICTIONS, out, verify=True)) == content_hash(score(small_release, checkpoint))
+    assert main(["--release", str(small_release), "--checkpoint", str(tmp_path), "--out", str(out)]) == 2
+    assert "ranker.json: missing" in capsys.readouterr().err
