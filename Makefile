@@ -12,7 +12,7 @@ export PYTHONUNBUFFERED := 1
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo dataset ui test soak check bench reproduce audit clean
+.PHONY: demo dataset ui test soak check bench reproduce clean
 
 demo: $(INSTALLED)  ## the whole benchmark on tier mini, from objects to reports
 	$(PY) -m assets_def.build mini --workers $(WORKERS)
@@ -35,6 +35,12 @@ check: $(INSTALLED)
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
 	$(VENV)/bin/dagster definitions validate -m assets_def.definitions
+
+bench: $(INSTALLED)  ## what a label costs; writes reports/out/bench.json (about five minutes)
+	$(PY) -m assets_def.bench
+
+reproduce: $(INSTALLED)  ## equal tables for any number of workers, any order, and ids made alone (about five minutes)
+	$(PY) -m pipelines.reproduce
 
 $(INSTALLED): pyproject.toml constraints.txt
 	test -x $(PY) || $(PYTHON) -m venv $(VENV)

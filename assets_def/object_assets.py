@@ -8,10 +8,8 @@ from assets_def.checks import schema_check, schema_check_spec
 from assets_def.metadata import table_metadata
 from assets_def.resources import Benchmark
 from pipelines.data_root import OBJECT_TABLES
-from pipelines.object_tables import make_object_tables
+from pipelines.object_tables import OBJECT_CODE_VERSION, make_object_tables
 from tables.schemas import ALL_SCHEMAS
-
-OBJECT_CODE_VERSION = "1"
 
 _UPSTREAM = {
     "object_meshes": [],
@@ -45,7 +43,7 @@ _DESCRIPTIONS = {
     check_specs=[schema_check_spec(ALL_SCHEMAS[name]) for name in OBJECT_TABLES],
 )
 def object_assets(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
-    sidecars = make_object_tables(benchmark.root, benchmark.recipe("full"), OBJECT_CODE_VERSION, benchmark.n_workers, context.log.info)
+    sidecars = make_object_tables(benchmark.root, benchmark.recipe("full"), benchmark.n_workers, context.log.info)
     for name in ("object_meshes", "object_parts", "stable_poses", "grasp_pool", "objects"):
         path, schema = benchmark.root.object_table(name), ALL_SCHEMAS[name]
         metadata = table_metadata(schema, path, sidecars[name])

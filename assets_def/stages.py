@@ -78,6 +78,7 @@ def _asset_of(stage: Stage) -> AssetsDefinition:
                 "wall_s": report.wall_s,
                 "core_s": report.core_s,
                 "units": report.n_units,
+                "peak_worker_gib": report.peak_gib,
             }
             yield MaterializeResult(schema.name, metadata=metadata, data_version=DataVersion(sidecar.content_hash))
             yield schema_check(schema, path)

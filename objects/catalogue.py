@@ -113,6 +113,11 @@ def load_catalogue(path: Path = PACKAGED_CATALOGUE) -> tuple[ObjectSpec, ...]:
     return specs
 
 
+def catalogue_order() -> list[tuple[str, str]]:
+    """(object id, category) of the packaged catalogue, in file order: what scene layouts are made from."""
+    return [(spec.object_id, spec.category.value) for spec in load_catalogue()]
+
+
 _COMMON_KEYS = {"id", "category", "name", "source", "mass_kg", "friction", "symmetry", "com_offset_m"}
 _SHAPES: Mapping[Category, type[Shape]] = {
     Category.CAN: CanShape,

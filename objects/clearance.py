@@ -39,13 +39,14 @@ class GripperClearance:
         self._at_rest = coal.Transform3s.Identity()
 
     def may_be_free(self, T_object_grasp: Float[np.ndarray, "n 4 4"]) -> Bool[np.ndarray, "n"]:
-        """A quick test that rejects most: whether no probe lies inside the hand."""
+        """A quick test that rejects most: whether no probe lies in the hand or too near to it."""
         T_tcp_hand, size_m = (values[0] for values in gripper_boxes(0.0))
         hit = np.zeros(len(T_object_grasp), dtype=bool)
         for start in range(0, len(hit), 256):
             T = T_object_grasp[start : start + 256] @ T_tcp_hand
             local = np.einsum("npk,nkj->npj", self._probes_m[None] - T[:, None, :3, 3], T[:, :3, :3])
-            hit[start : start + 256] = np.any(np.all(np.abs(local) < size_m / 2 + self._palm_m, axis=2), axis=1)
+            beyond = np.maximum(np.abs(local) - size_m / 2, 0.0)
+            hit[start : start + 256] = np.any(np.einsum("npj,npj->np", beyond, beyond) < self._palm_m**2, axis=1)
         return ~hit
 
     def is_free(self, T_object_grasp: Float[np.ndarray, "4 4"], jaw_width_m: float) -> bool:

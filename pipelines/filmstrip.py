@@ -80,7 +80,7 @@ class _Film:
 def _pictures(
     kit: ObjectKit, scene: Scene, T_base_target: Float[np.ndarray, "4 4"], states: list[_State], size_px: tuple[int, int]
 ) -> list[Frame]:
-    view = picture_view(size_px)
+    view = picture_view(size_px, (scene.T_base_object[:2, 3] + T_base_target[:2, 3]) / 2)
     frames = []
     with Renderer() as renderer:
         add_table(renderer)

@@ -16,14 +16,14 @@ from pipelines.workers import run_units
 from tables.schemas import ALL_SCHEMAS, SCHEMA_VERSION
 from tables.store import Sidecar, file_sha256, read_sidecar, sidecar_path, table_from_rows, write_table
 
+OBJECT_CODE_VERSION = "1"
+
 
 class ObjectTablesError(RuntimeError):
     """Objects of the catalogue that could not be built; names each one and why."""
 
 
-def make_object_tables(
-    root: DataRoot, recipe: Recipe, code_version: str, n_workers: int, log: Callable[[str], Any] = print
-) -> dict[str, Sidecar]:
+def make_object_tables(root: DataRoot, recipe: Recipe, n_workers: int, log: Callable[[str], Any] = print) -> dict[str, Sidecar]:
     """Publish `objects`, `object_meshes`, `object_parts`, `stable_poses` and `grasp_pool`, or keep them where nothing changed.
 
     Raises:
@@ -34,7 +34,7 @@ def make_object_tables(
     made_from = {
         "catalogue": hashlib.sha256(catalogue.encode()).hexdigest(),
         "recipe": recipe.hash_of("objects"),
-        "code": code_version,
+        "code": OBJECT_CODE_VERSION,
     }
     paths = {name: root.object_table(name) for name in OBJECT_TABLES}
     if all(path.exists() and sidecar_path(path).exists() for path in paths.values()):

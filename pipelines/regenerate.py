@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from objects.build import build_kits
-from objects.catalogue import load_catalogue
+from objects.catalogue import catalogue_order, load_catalogue
 from objects.kit import ObjectKit
 from pipelines.data_root import DataRoot
 from pipelines.layout import SceneLayout, scene_layout
@@ -52,10 +52,9 @@ def regenerate(name: str, root: DataRoot, recipe_path: Path = DEFAULT_RECIPE, ki
     candidate = parse_candidate_id(name) if "-t" in name else None
     scene_id = candidate.scene_id if candidate else name
     recipe = load_recipe(parse_scene_id(scene_id)[0], recipe_path)
-    specs = load_catalogue()
-    layout = scene_layout(scene_id, [(spec.object_id, str(spec.category)) for spec in specs])
+    layout = scene_layout(scene_id, catalogue_order())
     if kits is None:
-        kits = build_kits([spec for spec in specs if spec.object_id == layout.object_id], recipe.objects, recipe.seed)
+        kits = build_kits([spec for spec in load_catalogue() if spec.object_id == layout.object_id], recipe.objects, recipe.seed)
     rows = _make_rows(recipe, kits[layout.object_id], layout, candidate)
     if candidate and not any(row["candidate_id"] == name for row in rows["planning_labels"]):
         raise IdentityError(f"{name}: grasp {candidate.grasp_id} is not among the lifted grasps of {scene_id}")

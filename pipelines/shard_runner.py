@@ -9,14 +9,16 @@ from dataclasses import dataclass
 
 import pyarrow as pa
 
-from objects.kit import ObjectKit
-from pipelines.data_root import DataRoot
-from pipelines.layout import SceneLayout
+from objects.catalogue import catalogue_order
+from objects.kit import ObjectKit, kits_from_tables
+from pipelines.data_root import OBJECT_TABLES, DataRoot
+from pipelines.layout import SceneLayout, scene_layout
 from pipelines.recipe import Recipe
 from pipelines.scene import Row
 from pipelines.stages import Stage, UnitResult, rows_by_scene, units_of
 from pipelines.workers import run_units
 from tables.columns import TableSchema
+from tables.identity import scenes_of_shard
 from tables.schemas import SCHEMA_VERSION, TIMINGS
 from tables.store import (
     Sidecar,
@@ -53,6 +55,7 @@ class StageReport:
     n_units: int = 0
     wall_s: float = 0.0
     core_s: float = 0.0
+    peak_gib: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +66,13 @@ class ShardInputs:
     kits: Mapping[str, ObjectKit]
     layouts: Sequence[SceneLayout]
     objects_hash: str
+
+
+def load_shard_inputs(root: DataRoot, shard: str, recipe: Recipe) -> ShardInputs:
+    """Inputs of a whole shard, with the objects that are published below `root`."""
+    layouts = [scene_layout(scene_id, catalogue_order()) for scene_id in scenes_of_shard(shard)]
+    hashes = [read_sidecar(root.object_table(name)).content_hash for name in OBJECT_TABLES]
+    return ShardInputs(recipe, kits_from_tables(**root.read_objects()), layouts, "-".join(h[:16] for h in hashes))
 
 
 def run_stage(
@@ -102,11 +112,12 @@ def run_stage(
     for scene_id in [scene_id for scene_id, n in n_left.items() if n == 0]:
         _write_part(stage, shard, root, scene_id, [], made_from)
     failures: dict[str, str] = {}
-    core_ms = 0.0
+    core_ms = peak_gib = 0.0
     for n_done, outcome in enumerate(run_units(stage.run, [(unit,) for unit in units], n_workers), 1):
         unit = units[outcome.index]
         scene_id = unit.layout.scene_id
         core_ms += outcome.core_ms
+        peak_gib = max(peak_gib, outcome.peak_gib)
         n_left[scene_id] -= 1
         if outcome.error is None:
             results[scene_id].append(outcome.value)
@@ -122,7 +133,7 @@ def run_stage(
             f"{shard}.{stage.name}: {len(failures)} of {len(inputs.layouts)} scenes failed, must be 0; the others are kept:\n{reasons}"
         )
     sidecars = _publish(stage, shard, root, inputs, made_from)
-    return StageReport(sidecars, False, len(units), time.perf_counter() - start, core_ms / 1e3)
+    return StageReport(sidecars, False, len(units), time.perf_counter() - start, core_ms / 1e3, peak_gib)
 
 
 def is_published(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs) -> bool:

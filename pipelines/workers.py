@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import resource
 import sys
 import time
 import traceback
@@ -27,12 +28,13 @@ UNITS_PER_WORKER_LIFE = 2000
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one unit: a value, or the reason why there is none."""
+    """What became of one unit: a value, or the reason why there is none; CPU time spent, peak memory of the process that ran it."""
 
     index: int
     value: Any
     error: str | None
     core_ms: float
+    peak_gib: float
 
 
 def run_units(
@@ -53,7 +55,7 @@ def run_units(
         raise ValueError(f"n_workers is {n_workers}, must be >= 0")
     if n_workers == 0:
         for index, unit in enumerate(units):
-            yield _outcome(index, *_timed(function, unit))
+            yield Outcome(index, *_timed(function, unit))
         return
     with _pool(n_workers, units_per_life) as pool:
         waiting: dict[Future[Any], int] = {}
@@ -94,20 +96,17 @@ def _finished(waiting: dict[Future[Any], int]) -> Iterator[Outcome]:
     for future in done:
         index = waiting.pop(future)
         try:
-            yield _outcome(index, *future.result())
+            yield Outcome(index, *future.result())
         except ProcessExpired as death:
-            yield Outcome(index, None, f"worker died with exit code {death.exitcode} (a crash in an engine)", 0.0)
+            yield Outcome(index, None, f"worker died with exit code {death.exitcode} (a crash in an engine)", 0.0, 0.0)
 
 
-def _timed(function: Callable[..., Any], unit: tuple[Any, ...]) -> tuple[Any, str | None, float]:
+def _timed(function: Callable[..., Any], unit: tuple[Any, ...]) -> tuple[Any, str | None, float, float]:
     start = time.process_time_ns()
     value, error = None, None
     try:
         value = function(*unit)
     except Exception as failure:  # the edge: every failure of a unit becomes that unit's outcome
         error = f"{type(failure).__name__}: {failure}\n{traceback.format_exc(limit=-4)}"
-    return value, error, (time.process_time_ns() - start) / 1e6
-
-
-def _outcome(index: int, value: Any, error: str | None, core_ms: float) -> Outcome:
-    return Outcome(index, value, error, core_ms)
+    peak_gib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return value, error, (time.process_time_ns() - start) / 1e6, peak_gib

@@ -98,10 +98,13 @@ def render_scene(
     return shrunk(picture)
 
 
-def picture_view(size_px: tuple[int, int]) -> View:
-    """The view of every picture: from the front left, above the table's edge."""
+def picture_view(size_px: tuple[int, int], middle_xy: Float[np.ndarray, "2"] | None = None) -> View:
+    """The view of every picture, from the front left: of the whole table, or nearer and of what happens around a spot."""
     width, height = (_PICTURE_SHARPNESS * n for n in size_px)
-    return View((1.35, 0.70, 0.80), (0.38, 0.0, 0.14), 39.0, width, height)
+    if middle_xy is None:
+        return View((1.35, 0.70, 0.80), (0.38, 0.0, 0.14), 39.0, width, height)
+    x, y = (float(v) for v in middle_xy)
+    return View((x + 0.90, y + 0.65, 0.70), (x, y, 0.16), 36.0, width, height)
 
 
 def shrunk(picture: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:

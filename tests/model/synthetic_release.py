@@ -45,7 +45,7 @@ def write_synthetic_release(directory: Path, n_scenes: int, seed: int, n_points:
     """Write every table of a release into `directory` and return it.
 
     Args:
-        n_scenes: scenes `full-0000` and on, about 100 candidates each; k mod 5 of 3 is validation, 4 is test, the rest train.
+        n_scenes: scenes `full-0000` and on, about 70 candidates each; k mod 5 of 3 is validation, 4 is test, the rest train.
         seed: decides every draw; the same arguments give the same bytes.
         n_points: points in each scene's cloud.
     """

@@ -1,0 +1,164 @@
+"""What a label costs: core-milliseconds by stage and category over whole shards, beside floors measured in the same run.
+
+`python -m assets_def.bench` builds shards of the full recipe below a folder of its own, through Dagster, and writes bench.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import psutil
+from dagster import DagsterInstance, materialize
+from rich.console import Console
+from rich.table import Table
+
+from assets_def.resources import REPOSITORY, Benchmark
+from assets_def.stages import stage_assets
+from pipelines.data_root import DataRoot
+from pipelines.floors import bare_step_us, collision_check_us
+from pipelines.object_tables import make_object_tables
+from pipelines.scene import scenes_from_tables
+from pipelines.shard_runner import load_shard_inputs, read_timings
+from pipelines.stages import STAGES
+from splits.frames import frame_of
+from tables.schemas import ALL_SCHEMAS
+from tables.store import read_table, write_text_atomically
+
+CONSOLE = Console()
+# 38 scenes of the full recipe: every object at least once. The first is built with one worker and again with two.
+TIMED_SHARD, OTHER_SHARD = "full-000", "full-033"
+PAPER_PLANNING_MS = 1254.0
+N_CANDIDATES = 250_000
+
+
+@dataclass(frozen=True, slots=True)
+class ShardRun:
+    """One shard built through Dagster."""
+
+    wall_s: float
+    core_s: float
+    peak_gib: float
+    hashes: dict[str, str]
+
+
+def bench(folder: Path) -> dict[str, object]:
+    """Build the shards and return everything that is reported."""
+    shutil.rmtree(folder, ignore_errors=True)
+    one, two = folder / "one_worker", folder / "two_workers"
+    for path in (one, two):
+        make_object_tables(DataRoot(path), Benchmark().recipe("full"), 2, lambda _: None)
+    runs = {
+        "one": _build(one, TIMED_SHARD, 1),
+        "two": _build(two, TIMED_SHARD, 2),
+        "other": _build(two, OTHER_SHARD, 2),
+    }
+    frame = _frame(DataRoot(two), (TIMED_SHARD, OTHER_SHARD))
+    result = _figures(frame, runs) | _floors(DataRoot(two))
+    _print(frame, result)
+    return result
+
+
+def _build(path: Path, shard: str, n_workers: int) -> ShardRun:
+    start = time.perf_counter()
+    result = materialize(
+        stage_assets,
+        partition_key=shard,
+        resources={"benchmark": Benchmark(data_dir=str(path), n_workers=n_workers)},
+        instance=DagsterInstance.ephemeral(),
+        run_config={"loggers": {"console": {"config": {"log_level": "WARNING"}}}},
+    )
+    wall_s = time.perf_counter() - start
+    events = [m for m in result.get_asset_materialization_events() if m.asset_key is not None]
+    first = {e.step_key: e.materialization.metadata for e in events}
+    core_s = sum(float(metadata["core_s"].value) for metadata in first.values())  # type: ignore[arg-type]
+    peak = max(float(metadata["peak_worker_gib"].value) for metadata in first.values())  # type: ignore[arg-type]
+    hashes = {e.asset_key.to_user_string(): str(e.materialization.metadata["content_hash"].value) for e in events if e.asset_key}
+    CONSOLE.print(f"{shard} with {n_workers} workers: {wall_s:.1f} s, {core_s:.1f} core-s in units")
+    return ShardRun(wall_s, core_s, peak, hashes)
+
+
+def _frame(root: DataRoot, shards: Sequence[str]) -> pl.DataFrame:
+    """One row a timed item: stage, category, core_ms."""
+    timings = frame_of(read_timings(root, shards, STAGES))
+    scenes = pl.concat([frame_of(read_table(ALL_SCHEMAS["scenes"], root.shard_table(s, "scenes"))) for s in shards])
+    scene = pl.col("item_id").str.slice(0, 9).alias("scene_id")
+    return timings.with_columns(scene).join(scenes.select("scene_id", "category"), on="scene_id")
+
+
+def _figures(frame: pl.DataFrame, runs: dict[str, ShardRun]) -> dict[str, object]:
+    def mean(stage: str, category: str | None = None) -> float:
+        some = frame.filter(pl.col("stage") == stage)
+        chosen = some if category is None else some.filter(pl.col("category") == category)
+        return float(chosen["core_ms"].mean() or 0.0)  # type: ignore[arg-type]
+
+    n_candidates = frame.filter(pl.col("stage") == "planning_labels").height
+    by_category = {category: mean("execution_labels", category) for category in ("can", "mug", "cuboid")}
+    core_ms = float(frame.filter(~pl.col("stage").str.starts_with("policy_"))["core_ms"].sum())
+    return {
+        "planning_ms_mean": mean("planning_labels"),
+        "execution_ms_mean": float(np.mean(list(by_category.values()))),
+        "execution_ms_mean_mug": by_category["mug"],
+        "pick_lift_ms_mean": mean("pick_lift"),
+        "admission_ms_per_scene": mean("grasp_admission"),
+        "speedup_2_workers": runs["one"].wall_s / runs["two"].wall_s,
+        "orchestration_share": 1.0 - runs["one"].core_s / runs["one"].wall_s,
+        "peak_worker_gib": max(run.peak_gib for run in runs.values()),
+        "core_hours_250k": core_ms / n_candidates * N_CANDIDATES / 3.6e6,
+        "candidates": n_candidates,
+        "executed": frame.filter(pl.col("stage") == "execution_labels").height,
+        "hashes_equal_1_and_2_workers": runs["one"].hashes == runs["two"].hashes,
+        "paper_planning_ms": PAPER_PLANNING_MS,
+        "machine": f"{platform.machine()}, {psutil.cpu_count()} cores, {psutil.virtual_memory().total / 2**30:.0f} GiB",
+    }
+
+
+def _floors(root: DataRoot) -> dict[str, object]:
+    """Floors of a can, a mug and a cuboid in their first scenes."""
+    inputs = load_shard_inputs(root, TIMED_SHARD, Benchmark().recipe("full"))
+    scenes = scenes_from_tables(*root.read_shard(TIMED_SHARD, [ALL_SCHEMAS[name] for name in ("scenes", "obstacles", "targets")]).values())
+    first = [(inputs.kits[layout.object_id], scenes[layout.scene_id]) for layout in inputs.layouts[:3]]
+    return {
+        "floor_bare_step_us": {kit.category: bare_step_us(kit, scene, inputs.recipe.physics) for kit, scene in first},
+        "floor_collision_check_us": {kit.category: collision_check_us(kit, scene) for kit, scene in first},
+    }
+
+
+def _print(frame: pl.DataFrame, result: dict[str, object]) -> None:
+    table = Table("stage", "category", "items", "mean", "median", "p95", title="core-milliseconds an item")
+    groups = frame.group_by("stage", "category").agg(
+        pl.len(),
+        pl.col("core_ms").mean().alias("mean"),
+        pl.col("core_ms").median().alias("median"),
+        pl.col("core_ms").quantile(0.95).alias("p95"),
+    )
+    for stage, category, n, mean, median, p95 in groups.sort("stage", "category").iter_rows():
+        table.add_row(stage, category, str(n), f"{mean:.2f}", f"{median:.2f}", f"{p95:.2f}")
+    CONSOLE.print(table)
+    for name, value in result.items():
+        CONSOLE.print(f"{name:32s} {value:.3f}" if isinstance(value, float) else f"{name:32s} {value}", markup=False)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line: writes `reports/out/bench.json`."""
+    parser = argparse.ArgumentParser(prog="python -m assets_def.bench", description=__doc__)
+    parser.add_argument("--folder", type=Path, default=REPOSITORY / "data" / "bench")
+    chosen = parser.parse_args(arguments)
+    result = bench(chosen.folder)
+    path = REPOSITORY / "reports" / "out" / "bench.json"
+    write_text_atomically(path, json.dumps(result, indent=2, sort_keys=True) + "\n")
+    CONSOLE.print(f"written to {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
