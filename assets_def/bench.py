@@ -80,11 +80,10 @@ def _build(path: Path, shard: str, n_workers: int) -> ShardRun:
     wall_s = time.perf_counter() - start
     events = [m for m in result.get_asset_materialization_events() if m.asset_key is not None]
     first = {e.step_key: e.materialization.metadata for e in events}
-    core_s = sum(float(metadata["core_s"].value) for metadata in first.values())  # type: ignore[arg-type]
-    peak = max(float(metadata["peak_worker_gib"].value) for metadata in first.values())  # type: ignore[arg-type]
+    values = {name: [float(str(metadata[name].value)) for metadata in first.values()] for name in ("core_s", "peak_worker_gib")}
     hashes = {e.asset_key.to_user_string(): str(e.materialization.metadata["content_hash"].value) for e in events if e.asset_key}
-    CONSOLE.print(f"{shard} with {n_workers} workers: {wall_s:.1f} s, {core_s:.1f} core-s in units")
-    return ShardRun(wall_s, core_s, peak, hashes)
+    CONSOLE.print(f"{shard} with {n_workers} workers: {wall_s:.1f} s, {sum(values['core_s']):.1f} core-s in units")
+    return ShardRun(wall_s, sum(values["core_s"]), max(values["peak_worker_gib"]), hashes)
 
 
 def _frame(root: DataRoot, shards: Sequence[str]) -> pl.DataFrame:

@@ -55,9 +55,8 @@ def reproduce(shard: str, n_scenes: int, n_alone: int, folder: Path, console: Co
         differing = [c.table for c in regenerate(name, first) if c.is_identical is not True]
         console.print(f"{name} alone: {'identical in every table' if not differing else f'DIFFERENT in {differing}'}")
         is_same &= not differing
-    console.print(
-        f"{len(candidates)} candidates of {len(inputs.layouts)} scenes: {'0 differences' if is_same else 'DIFFERENCES, see above'}"
-    )
+    verdict = "0 differences" if is_same else "DIFFERENCES, see above"
+    console.print(f"{len(candidates)} candidates of {len(inputs.layouts)} scenes: {verdict}")
     return is_same
 
 
