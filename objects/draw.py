@@ -16,6 +16,14 @@ from objects.kit import ObjectKit, PoolGrasp, TriangleMesh
 
 _COLOURS = [colormaps["tab10"](k)[:3] for k in range(10)]
 _LIGHT = np.array([0.3, -0.5, 0.81])
+_ELEVATION_DEG, _AZIMUTH_DEG = 25.0, -60.0
+_TO_VIEWER = np.array(
+    [
+        np.cos(np.radians(_ELEVATION_DEG)) * np.cos(np.radians(_AZIMUTH_DEG)),
+        np.cos(np.radians(_ELEVATION_DEG)) * np.sin(np.radians(_AZIMUTH_DEG)),
+        np.sin(np.radians(_ELEVATION_DEG)),
+    ]
+)
 
 
 def draw_object(kit: ObjectKit, path: Path) -> None:
@@ -49,7 +57,8 @@ def _panel(figure: Figure, n_columns: int, position: int, title: str, radius_m: 
     axes: Any = figure.add_subplot(1, n_columns, position, projection="3d")
     axes.set(xlim=(-radius_m, radius_m), ylim=(-radius_m, radius_m), zlim=(-radius_m, radius_m), xlabel="x", ylabel="y", zlabel="z")
     axes.set_box_aspect((1, 1, 1))
-    axes.view_init(elev=25, azim=-60)
+    axes.set_proj_type("ortho")
+    axes.view_init(elev=_ELEVATION_DEG, azim=_AZIMUTH_DEG)
     axes.tick_params(labelsize=6)
     axes.set_title(title, fontsize=10)
     return axes
@@ -59,6 +68,9 @@ def _add_mesh(axes: Any, mesh: TriangleMesh, colour: tuple[float, ...], alpha: f
     triangles = mesh.vertices_m[mesh.faces]
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    # Painted back to front by their middles, large faces cover each other wrongly: leave out those that face away.
+    facing = normal @ _TO_VIEWER > 0.0
+    triangles, normal = triangles[facing], normal[facing]
     shade = 0.65 + 0.35 * (normal @ _LIGHT)
     faces = np.column_stack([np.outer(shade, colour[:3]), np.full(len(shade), alpha)])
     axes.add_collection3d(Poly3DCollection(triangles, facecolors=np.clip(faces, 0.0, 1.0)))

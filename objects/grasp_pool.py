@@ -232,34 +232,40 @@ def _com_distance(pairs: ContactPairs, com_m: Float[np.ndarray, "3"]) -> Float[n
 def _choice(candidates: _Candidates, clearance: GripperClearance, params: GraspPoolParams) -> list[int]:
     """Numbers of the chosen candidates, in an order of which every prefix serves all resting poses and kinds.
 
-    Twice in three, the resting pose that the fewest chosen grasps serve and in it the kind that lags most behind its share; else the
-    kind that lags most, and of it the grasps for the pose least served. Among those, the grasp farthest from all chosen, its distance
+    Twice in three, the resting pose that the chosen grasps serve least and for it the kind that lags most behind its share; else the
+    kind that lags most and for it the pose that this kind serves least. Among those, the grasp farthest from all chosen, its distance
     weighed by its rating, is taken if it is free of the object.
     """
     kinds = sorted(set(candidates.kind), key=list(params.shares).index)
     share = np.array([params.shares[kind] for kind in kinds])
     kind = np.array([kinds.index(k) for k in candidates.kind], dtype=np.int64)
-    served, filled = np.zeros(candidates.serves.shape[1]), np.zeros(len(kinds))
+    served, filled = np.zeros((len(kinds), candidates.serves.shape[1])), np.zeros(len(kinds))
     nearest = np.full(len(kind), 1e6)
     chosen: list[int] = []
     while len(chosen) < params.n_grasps and np.any(nearest >= params.min_distance):
         is_open = nearest >= params.min_distance
-        for choose_pose in (False, True) if len(chosen) % 3 == 2 else (True, False):
-            if choose_pose:
-                poses = np.flatnonzero(np.any(candidates.serves[is_open] > 0.0, axis=0))
-                is_open &= candidates.serves[:, poses[np.argmin(served[poses])]] > 0.0
-            else:
-                possible = np.unique(kind[is_open])
-                is_open &= kind == possible[np.argmin(((filled + 1.0) / share)[possible])]
-        best = int(np.argmax(np.where(is_open, candidates.rating * nearest, -1.0)))
+        usable = is_open[:, None] & (candidates.serves > 0.0)
+        left = np.stack([np.any(usable[kind == k], axis=0) for k in range(len(kinds))])
+        if len(chosen) % 3 == 2:
+            k = _least((filled + 1.0) / share, left.any(axis=1))
+            pose = _least(served[k], left[k])
+        else:
+            pose = _least(served.sum(axis=0), left.any(axis=0))
+            k = _least((served[:, pose] + 1.0) / share, left[:, pose])
+        best = int(np.argmax(np.where(usable[:, pose] & (kind == k), candidates.rating * nearest, -1.0)))
         if not clearance.is_free(candidates.T[best], float(candidates.pairs.width_m[best])):
             nearest[best] = -1.0
             continue
         chosen.append(best)
-        served += candidates.serves[best]
-        filled[kind[best]] += 1
+        served[k] += candidates.serves[best]
+        filled[k] += 1
         nearest = np.minimum(nearest, pose_distance(candidates.T, candidates.T[best], params))
     return chosen
+
+
+def _least(values: Float[np.ndarray, "n"], allowed: Bool[np.ndarray, "n"]) -> int:
+    """Number of the smallest allowed value, the first of equals."""
+    return int(np.argmin(np.where(allowed, values, np.inf)))
 
 
 def pose_distance(T: Float[np.ndarray, "n 4 4"], T_other: Float[np.ndarray, "4 4"], params: GraspPoolParams) -> Float[np.ndarray, "n"]:

@@ -6,14 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import settings as hypothesis_settings
 
 from model.settings import LIGHT, RankerSettings
 from tests.model.synthetic_release import write_synthetic_release
-
-# The first example of a test may compile kernels; how long an example takes is no law of the ranker.
-hypothesis_settings.register_profile("no deadline", deadline=None)
-hypothesis_settings.load_profile("no deadline")
 
 TINY = replace(
     LIGHT,

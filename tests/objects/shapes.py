@@ -17,9 +17,7 @@ _SYMMETRY = {CanShape: Symmetry.REVOLUTION_Z, MugShape: Symmetry.NONE, CuboidSha
 
 
 def spec_of(shape: Shape, object_id: str = "thing", mass_kg: float = 0.2, com_z_m: float = 0.0) -> ObjectSpec:
-    return ObjectSpec(
-        object_id, _CATEGORY[type(shape)], "name", "source", shape, mass_kg, 0.8, _SYMMETRY[type(shape)], (0.0, 0.0, com_z_m)
-    )
+    return ObjectSpec(object_id, _CATEGORY[type(shape)], "name", "source", shape, mass_kg, 0.8, _SYMMETRY[type(shape)], (0.0, 0.0, com_z_m))
 
 
 def mesh_spec(path: Path, scale: float = 1.0, object_id: str = "own") -> ObjectSpec:

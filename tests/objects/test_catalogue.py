@@ -10,7 +10,15 @@ from objects.catalogue import CanShape, CuboidShape, MeshShape, MugShape, load_c
 from objects.errors import CatalogueError, ObjectError
 from tables.vocabulary import Category, Symmetry
 
-CAN = {"id": '"tin"', "category": '"can"', "name": '"a tin"', "source": '"a shop"', "mass_kg": "0.3", "diameter_m": "0.066", "height_m": "0.1"}
+CAN = {
+    "id": '"tin"',
+    "category": '"can"',
+    "name": '"a tin"',
+    "source": '"a shop"',
+    "mass_kg": "0.3",
+    "diameter_m": "0.066",
+    "height_m": "0.1",
+}
 MUG = {
     **CAN, "id": '"cup"', "category": '"mug"', "wall_m": "0.004", "base_m": "0.006", "handle_reach_m": "0.03", "handle_height_m": "0.06",
     "handle_thickness_m": "0.01", "handle_width_m": "0.012",
@@ -51,7 +59,15 @@ def test_defaults_follow_the_category(tmp_path: Path) -> None:
 
 
 def test_mesh_path_is_relative_to_the_catalogue_file(tmp_path: Path) -> None:
-    entry = {"id": '"own"', "category": '"mesh"', "name": '"n"', "source": '"s"', "mass_kg": "0.1", "mesh": '"files/own.obj"', "scale": "0.001"}
+    entry = {
+        "id": '"own"',
+        "category": '"mesh"',
+        "name": '"n"',
+        "source": '"s"',
+        "mass_kg": "0.1",
+        "mesh": '"files/own.obj"',
+        "scale": "0.001",
+    }
     (spec,) = load_catalogue(write(tmp_path, entry))
     assert spec.shape == MeshShape(tmp_path / "files/own.obj", 0.001)
     assert spec.category is Category.MESH

@@ -29,7 +29,10 @@ def mug() -> tuple[Solid, Decomposition]:
 
 def inside(part: TriangleMesh, points: Float[np.ndarray, "n 3"], tolerance_m: float) -> Bool[np.ndarray, "n"]:
     """Points on the inner side of every face of a convex part."""
-    corner, edge_1, edge_2 = part.vertices_m[part.faces[:, 0]], *(part.vertices_m[part.faces[:, k]] - part.vertices_m[part.faces[:, 0]] for k in (1, 2))
+    corner, edge_1, edge_2 = (
+        part.vertices_m[part.faces[:, 0]],
+        *(part.vertices_m[part.faces[:, k]] - part.vertices_m[part.faces[:, 0]] for k in (1, 2)),
+    )
     normal = np.cross(edge_1, edge_2)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return np.all(points @ normal.T <= np.einsum("ij,ij->i", normal, corner) + tolerance_m, axis=1)
@@ -159,7 +162,8 @@ def test_a_crash_of_coacd_names_the_object_and_leaves_this_process_alive() -> No
 
 
 @pytest.mark.parametrize(
-    "changes", [{"max_cavity_fill": 1.5}, {"max_volume_ratio": 0.9}, {"wall_sectors": (12, 8)}, {"wall_sectors": ()}, {"thresholds": (0.1, 0.2)}]
+    "changes",
+    [{"max_cavity_fill": 1.5}, {"max_volume_ratio": 0.9}, {"wall_sectors": (12, 8)}, {"wall_sectors": ()}, {"thresholds": (0.1, 0.2)}],
 )
 def test_params_out_of_bounds_are_refused_by_name(changes: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=f"DecompositionParams.{next(iter(changes))}"):

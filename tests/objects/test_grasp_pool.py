@@ -112,11 +112,16 @@ def test_no_two_grasps_are_the_same(kits: dict[str, ObjectKit], object_id: str) 
 def test_every_prefix_serves_every_resting_pose_that_can_be_grasped(kits: dict[str, ObjectKit], object_id: str) -> None:
     kit = kits[object_id]
     serves = np.array(
-        [clears_table(rest.T_plane_object @ poses(kit), widths(kit), PARAMS.table_clearance_m, PARAMS.approach_m) for rest in kit.stable_poses]
+        [
+            clears_table(rest.T_plane_object @ poses(kit), widths(kit), PARAMS.table_clearance_m, PARAMS.approach_m)
+            for rest in kit.stable_poses
+        ]
     )
     graspable = serves.any(axis=1)
     # A flat box wider than the jaw lies on the only faces that the jaw could span: then, and only then, nothing serves the pose.
-    assert [r.resting for r, g in zip(kit.stable_poses, graspable, strict=True) if not g] == (["face_x"] if object_id == "cuboid_02" else [])
+    assert [r.resting for r, g in zip(kit.stable_poses, graspable, strict=True) if not g] == (
+        ["face_x"] if object_id == "cuboid_02" else []
+    )
     assert serves[graspable].sum(axis=1).min() >= 8
     assert serves[graspable][:, :32].sum(axis=1).min() >= 4
     kinds = Counter(grasp.grasp_kind for grasp in kit.grasps[:32])
@@ -220,7 +225,15 @@ def test_an_object_that_offers_only_edges_is_refused() -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{"n_grasps": 0}, {"min_grasps": 65}, {"friction": 0.0}, {"depths_m": (0.01,)}, {"depths_m": ()}, {"min_distance": -1.0}, {"shares": {"side": 0.0}}],
+    [
+        {"n_grasps": 0},
+        {"min_grasps": 65},
+        {"friction": 0.0},
+        {"depths_m": (0.01,)},
+        {"depths_m": ()},
+        {"min_distance": -1.0},
+        {"shares": {"side": 0.0}},
+    ],
 )
 def test_params_out_of_bounds_are_refused_by_name(changes: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=f"GraspPoolParams.{next(iter(changes))}"):

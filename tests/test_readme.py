@@ -1,0 +1,54 @@
+"""The README's queries run on a release as they stand there, and its commands exist."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from tests.model.synthetic_release import write_synthetic_release
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+QUERIES = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("readme")
+    write_synthetic_release(folder / "data" / "release" / "mini", n_scenes=6, seed=1)
+    return folder
+
+
+def test_there_are_queries() -> None:
+    assert len(QUERIES) >= 3
+
+
+@pytest.mark.parametrize("query", QUERIES)
+def test_a_query_prints_rows(query: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(folder)
+    exec(compile(query, "README.md", "exec"), {})
+    shape = re.search(r"shape: \((\d+), (\d+)\)", capsys.readouterr().out)
+    assert shape is not None
+    assert int(shape.group(1)) >= 1
+
+
+def test_the_first_query_counts_every_candidate(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    scope: dict[str, object] = {}
+    exec(compile(QUERIES[0], "README.md", "exec"), scope)
+    counted = scope["candidates"].group_by(scope["outcome"].alias("outcome")).len().collect()  # type: ignore[attr-defined]
+    assert counted["len"].sum() == pl.read_parquet("data/release/mini/candidates.parquet").height
+    assert counted["outcome"].null_count() == 0
+
+
+def test_every_make_target_that_is_documented_exists() -> None:
+    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.MULTILINE))
+    assert set(re.findall(r"`?make (\w+)", README)) <= targets
+
+
+def test_every_module_that_is_documented_exists() -> None:
+    for module in set(re.findall(r"python -m ([\w.]+)", README)):
+        assert (ROOT / Path(*module.split("."))).with_suffix(".py").exists(), module
