@@ -20,11 +20,8 @@ GOLDEN = Path(__file__).resolve().parent.parent / "golden" / "asset_graph.json"
 
 def graph() -> dict[str, list[str]]:
     """Upstream assets of every asset, sorted: `python -m tests.assets_def.test_graph` rewrites the golden file with it."""
-    nodes = definitions.resolve_asset_graph().asset_nodes
-    return {
-        n.key.to_user_string(): sorted(p.to_user_string() for p in n.parent_keys)
-        for n in sorted(nodes, key=lambda n: n.key.to_user_string())
-    }
+    nodes = sorted(definitions.resolve_asset_graph().asset_nodes, key=lambda node: node.key.to_user_string())
+    return {node.key.to_user_string(): sorted(parent.to_user_string() for parent in node.parent_keys) for node in nodes}
 
 
 def test_the_graph_is_the_golden_one() -> None:
@@ -61,6 +58,8 @@ def test_ranker_keys_round_trip() -> None:
 _PAIRS = pl.DataFrame({"candidate_id": ["mini-0000-t0-g00", "mini-0000-t0-g01"]})
 _PLANNED = _PAIRS.with_columns(y_plan=pl.Series([True, False]), plan_status=pl.Series(["solved", "no_ik"]))
 _EXECUTED = _PAIRS.head(1).with_columns(y_pipe=pl.Series([True]), exec_status=pl.Series(["success"]))
+_DENIED = _EXECUTED.with_columns(y_pipe=pl.lit(False))
+_UNKNOWN = _EXECUTED.with_columns(y_pipe=pl.lit(None, pl.Boolean))
 
 
 @pytest.mark.parametrize(
@@ -71,10 +70,10 @@ _EXECUTED = _PAIRS.head(1).with_columns(y_pipe=pl.Series([True]), exec_status=pl
         ("planning_labels", {"planning_labels": _PLANNED.head(1)}, "must agree"),
         ("planning_labels", {"plans": _PAIRS}, "must agree"),
         ("execution_labels", {}, None),
-        ("execution_labels", {"execution_labels": _EXECUTED.with_columns(y_pipe=pl.lit(False))}, "y_pipe contradicts exec_status"),
+        ("execution_labels", {"execution_labels": _DENIED}, "y_pipe contradicts exec_status"),
         (
             "execution_labels",
-            {"execution_labels": _EXECUTED.with_columns(y_pipe=pl.lit(None, pl.Boolean))},
+            {"execution_labels": _UNKNOWN},
             "y_pipe contradicts exec_status",
         ),
         ("execution_labels", {"execution_labels": _EXECUTED.clear()}, "must agree"),

@@ -92,11 +92,12 @@ def test_a_crash_fails_its_scene_with_its_id_and_keeps_the_others(
 
     made = []
     real = shard_runner.units_of
-    monkeypatch.setattr(
-        shard_runner,
-        "units_of",
-        lambda stage, recipe, kit, layout, rows: made.append(layout.scene_id) or real(stage, recipe, kit, layout, rows),
-    )
+
+    def noted(stage, recipe, kit, layout, rows):
+        made.append(layout.scene_id)
+        return real(stage, recipe, kit, layout, rows)
+
+    monkeypatch.setattr(shard_runner, "units_of", noted)
     resumed = run_stage(_stage(), SHARD, root, inputs, 0)
     assert sorted(made) == [SCENES[4], SCENES[7]]
     whole = run_stage(_stage(), SHARD, DataRoot(tmp_path / "whole"), inputs, 0)
