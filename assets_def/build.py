@@ -119,7 +119,8 @@ def _print_result(tier: str, until: str, seconds: dict[str, float]) -> None:
     benchmark = Benchmark()
     reports = benchmark.report_dir(tier)
     shown = "success_at_k" if until == "reports" else "profile"
-    CONSOLE.print(Markdown((reports / f"{shown}.md").read_text(encoding="utf-8")))
+    sections = (reports / f"{shown}.md").read_text(encoding="utf-8").split("\n## ")
+    CONSOLE.print(Markdown("\n## ".join(sections[:2])))
     table = Table("step", "wall s", title=f"wall time of this run, tier {tier}")
     for name, value in seconds.items():
         table.add_row(name, f"{value:.1f}")

@@ -192,8 +192,10 @@ def _candidates(
     T[:, :3, 0] = np.cross(T[:, :3, 1], approach)
     T[:, :3, 3] = (pairs.a_m + pairs.b_m) / 2 + depth[:, None] * approach
     serves = np.stack([_serves(spec, rest, T, pairs, com_m, params) for rest in rests], axis=1)
-    # A grasp that serves several resting poses can turn the object from one to another. People approach along an object's axes.
-    rating = serves.mean(axis=1) * np.where(np.abs(approach).max(axis=1) > np.cos(np.radians(1.0)), 1.0, 0.85)
+    # A grasp that serves several resting poses can turn the object from one to another; one that serves a single pose surely is as good.
+    rating = (serves.mean(axis=1) + serves.max(axis=1)) / 2
+    # People approach along an object's axes.
+    rating *= np.where(np.abs(approach).max(axis=1) > np.cos(np.radians(1.0)), 1.0, 0.75)
     return _Candidates(T, pairs, grasp_kinds(spec, T, pairs), serves, rating)
 
 
@@ -233,8 +235,8 @@ def _choice(candidates: _Candidates, clearance: GripperClearance, params: GraspP
     """Numbers of the chosen candidates, in an order of which every prefix serves all resting poses and kinds.
 
     Twice in three, the resting pose that the chosen grasps serve least and for it the kind that lags most behind its share; else the
-    kind that lags most and for it the pose that this kind serves least. Among those, the grasp farthest from all chosen, its distance
-    weighed by its rating, is taken if it is free of the object.
+    kind that lags most, for whatever pose. Among those, the grasp farthest from all chosen, its distance weighed by its rating, is
+    taken if it is free of the object.
     """
     kinds = sorted(set(candidates.kind), key=list(params.shares).index)
     share = np.array([params.shares[kind] for kind in kinds])
@@ -247,12 +249,13 @@ def _choice(candidates: _Candidates, clearance: GripperClearance, params: GraspP
         usable = is_open[:, None] & (candidates.serves > 0.0)
         left = np.stack([np.any(usable[kind == k], axis=0) for k in range(len(kinds))])
         if len(chosen) % 3 == 2:
-            k = _least((filled + 1.0) / share, left.any(axis=1))
-            pose = _least(served[k], left[k])
+            k = _least((filled + 1.0) / share, np.any(left, axis=1))
+            suits = is_open & (kind == k)
         else:
-            pose = _least(served.sum(axis=0), left.any(axis=0))
+            pose = _least(served.sum(axis=0), np.any(left, axis=0))
             k = _least((served[:, pose] + 1.0) / share, left[:, pose])
-        best = int(np.argmax(np.where(usable[:, pose] & (kind == k), candidates.rating * nearest, -1.0)))
+            suits = usable[:, pose] & (kind == k)
+        best = int(np.argmax(np.where(suits, candidates.rating * nearest, -1.0)))
         if not clearance.is_free(candidates.T[best], float(candidates.pairs.width_m[best])):
             nearest[best] = -1.0
             continue

@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from objects.gripper import gripper_boxes
 from objects.kit import ObjectKit, TriangleMesh, kits_from_tables
 from pipelines.filmstrip import render_execution_frames
-from pipelines.physics.camera import OBJECT_RGB, OBSTACLE_RGB, add_table, render_scene, shrunk
+from pipelines.physics.camera import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, render_scene, shrunk
 from pipelines.physics.renderer import Renderer, View
 from pipelines.recipe import Recipe
 from pipelines.scene import LiftedGrasp, Row, Scene, lifted_grasps, plan_in, pose_in, rows_by, scenes_from_tables
@@ -27,6 +27,8 @@ from tables.vocabulary import ExecStatus
 
 _TILE_PX = (400, 300)
 _FRAME_PX = (240, 180)
+_TITLE_PX = (960, 480)
+_GHOST_OPACITY = 0.5
 _N_FRAMES = 6
 _N_SCENES = 12
 _N_GRASPS_DRAWN = 8
@@ -54,12 +56,14 @@ def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe, *, tier: str,
     scenes = scenes_from_tables(tables["scenes"], tables["obstacles"], tables["targets"])
     grasps = rows_by(tables["grasps"], "scene_id")
     figures = {
+        "gallery-title": _sheet([_title_tile(scenes, kits, grasps)], 1),
         "gallery-scenes": _sheet([_scene_tile(scenes[name], kits) for name in sorted(scenes)[:_N_SCENES]], 4),
         "gallery-grasps": _sheet([_grasp_tile(scene, kits, grasps[scene.scene_id]) for scene in _one_an_object(scenes)[:_N_SCENES]], 4),
     }
     blocks = [
         f"# Gallery of tier {tier}",
         "Everything is rendered from the release's tables; films run the stored plan again, as the label was made.",
+        "![A scene, its targets and some of its grasps](gallery-title.png)",
         "## Scenes\n\nObject blue, obstacles brown, the eight targets as green ghosts.",
         "![Scenes](gallery-scenes.png)",
         f"## Lifted grasps\n\nUp to {_N_GRASPS_DRAWN} of the grasps that passed the pick-lift check, at the object's initial pose.",
@@ -84,22 +88,39 @@ def _scene_tile(scene: Scene, kits: Mapping[str, ObjectKit]) -> _Tile:
 
 def _grasp_tile(scene: Scene, kits: Mapping[str, ObjectKit], rows: Sequence[Row]) -> _Tile:
     """The object in close-up with grippers at the lifted grasps, spread over the pool."""
-    kit = kits[scene.object_id]
     lifted = [row for row in sorted(rows, key=lambda row: row["grasp_id"]) if row["lift_status"] == "lifted"]
     drawn = lifted[:: max(1, len(lifted) // _N_GRASPS_DRAWN)][:_N_GRASPS_DRAWN]
-    widths_m = {grasp.grasp_id: grasp.jaw_width_m for grasp in kit.grasps}
     x, y, z = scene.T_base_object[:3, 3]
     view = View((x - 0.30, y + 0.38, z + 0.33), (x, y, z + 0.02), 40.0, 2 * _TILE_PX[0], 2 * _TILE_PX[1])
+    picture = _picture_of_grasps(scene, kits[scene.object_id], drawn, view, show_targets=False)
+    return _Tile(picture, f"{scene.object_id}: {len(drawn)} of {len(lifted)} lifted grasps")
+
+
+def _title_tile(scenes: Mapping[str, Scene], kits: Mapping[str, ObjectKit], grasps: Mapping[str, list[Row]]) -> _Tile:
+    """One scene with obstacles, its targets as ghosts and some grasps: what a ranker is asked about, in one picture."""
+    scene = next((scenes[name] for name in sorted(scenes) if len(scenes[name].obstacles) == 2), scenes[min(scenes)])
+    lifted = [row for row in sorted(grasps[scene.scene_id], key=lambda row: row["grasp_id"]) if row["lift_status"] == "lifted"]
+    view = View((1.25, 0.62, 0.62), (0.44, 0.0, 0.04), 36.0, 2 * _TITLE_PX[0], 2 * _TITLE_PX[1])
+    drawn = lifted[:: max(1, len(lifted) // 4)][:4]
+    picture = _picture_of_grasps(scene, kits[scene.object_id], drawn, view, show_targets=True)
+    return _Tile(picture, f"{scene.scene_id} {scene.object_id}: object blue, obstacles brown, targets green, {len(drawn)} of its grasps")
+
+
+def _picture_of_grasps(scene: Scene, kit: ObjectKit, rows: Sequence[Row], view: View, *, show_targets: bool) -> UInt8[np.ndarray, "h w 3"]:
+    widths_m = {grasp.grasp_id: grasp.jaw_width_m for grasp in kit.grasps}
     with Renderer() as renderer:
         add_table(renderer)
         renderer.add_mesh(kit.mesh, scene.T_base_object, OBJECT_RGB)
         for obstacle in scene.obstacles:
             renderer.add_box(obstacle.size_m, obstacle.T_base_obstacle, OBSTACLE_RGB)
-        for k, row in enumerate(drawn):
+        for k, row in enumerate(rows):
             glyph = _gripper_glyph(min(widths_m[row["grasp_id"]] + 0.004, 0.08))
             renderer.add_mesh(glyph, pose_in(row, "grasp"), _GRASP_RGBS[k % len(_GRASP_RGBS)])
-        picture = shrunk(renderer.photograph(view).rgb.astype(np.float64))
-    return _Tile(picture, f"{scene.object_id}: {len(drawn)} of {len(lifted)} lifted grasps")
+        picture = renderer.photograph(view).rgb.astype(np.float64)
+        for target in scene.targets if show_targets else ():
+            renderer.add_mesh(kit.mesh, target.T_base_target, GHOST_RGB)
+        picture += _GHOST_OPACITY * (renderer.photograph(view).rgb - picture)
+    return shrunk(picture)
 
 
 def _gripper_glyph(jaw_m: float) -> TriangleMesh:

@@ -19,7 +19,7 @@ def test_a_ray_from_inside_a_box_leaves_where_the_slab_test_says(seed: int) -> N
     size = rng.uniform(0.02, 0.2, 3)
     origin, direction = rng.uniform(-0.49, 0.49, 3) * size, rng.normal(size=3)
     direction /= np.linalg.norm(direction)
-    ray, point, face = ray_exits(trimesh.creation.box(extents=size), origin[None], direction[None])
+    ray, point, _ = ray_exits(trimesh.creation.box(extents=size), origin[None], direction[None])
     distance = ((np.sign(direction) * size / 2 - origin) / direction).min()
     assert ray.tolist() == [0]
     assert point[0] == pytest.approx(origin + distance * direction, abs=1e-9)

@@ -153,5 +153,5 @@ def test_a_missing_mesh_file_is_refused_by_name(tmp_path: Path) -> None:
 
 def test_a_mesh_with_too_many_faces_is_refused(tmp_path: Path) -> None:
     trimesh.creation.icosphere(subdivisions=6, radius=0.03).export(tmp_path / "own.stl")
-    with pytest.raises(MeshError, match="own: mesh file .* has 81920 faces, must be in"):
+    with pytest.raises(MeshError, match=r"own: mesh file .* has 81920 faces, must be in"):
         solid_of(mesh_spec(tmp_path / "own.stl"))
