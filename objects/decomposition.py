@@ -43,6 +43,8 @@ class DecompositionParams:
     max_handle_hole_fill: float = 0.10
     # Sum of hull volumes over mesh volume. Thin walls make it large (a 2.5 mm wall of 12 sectors: 1.27) while the cavity stays open.
     max_volume_ratio: float = 1.40
+    # A user's mesh has no named cavity to check: its parts must stay this close to it, or fingers would meet what is not there.
+    max_mesh_volume_ratio: float = 1.08
     # A can or cuboid is its own hull: anything else is a broken solid.
     max_convex_volume_ratio: float = 1.0001
     max_parts: int = 32
@@ -52,6 +54,7 @@ class DecompositionParams:
             ("max_cavity_fill", 0.0, 1.0),
             ("max_handle_hole_fill", 0.0, 1.0),
             ("max_volume_ratio", 1.0, 10.0),
+            ("max_mesh_volume_ratio", 1.0, 10.0),
             ("max_convex_volume_ratio", 1.0, 1.1),
             ("max_parts", 1, 256),
             ("max_hull_vertices", 8, 256),
@@ -100,7 +103,7 @@ def decompose(spec: ObjectSpec, solid: Solid, params: DecompositionParams, coacd
     else:
         with CoacdProcess(spec.object_id) as child:
             hulls = _mesh_hulls(child, solid.mesh, params, coacd_seed)
-        max_ratio = params.max_volume_ratio
+        max_ratio = params.max_mesh_volume_ratio
     cavity_fill, hole_fill = fill_of(solid.cavity, hulls), fill_of(solid.handle_hole, hulls)
     ratio = _volume_ratio(solid.mesh, hulls)
     for name, value, bound in (
@@ -157,7 +160,7 @@ def _mesh_hulls(child: CoacdProcess, mesh: trimesh.Trimesh, params: Decompositio
         return hulls
     for threshold in params.thresholds:
         hulls = _hulls(child, [mesh], threshold, params, coacd_seed)
-        if _volume_ratio(mesh, hulls) <= params.max_volume_ratio:
+        if _volume_ratio(mesh, hulls) <= params.max_mesh_volume_ratio:
             break
     return hulls
 

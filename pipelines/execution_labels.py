@@ -147,7 +147,7 @@ def _start(world: PhysicsWorld, candidate_id: str, scene: Scene, grasp: LiftedGr
     world.rebuild(candidate_id, with_robot=True)
     world.set_arm(grasp.lifted_q_rad, grasp.fingers_m.tolist())
     world.set_object(grasp.T_base_lifted)
-    world.command_fingers(-world.params.finger_speed_m_s)
+    world.grip()
 
 
 def _carry(world: PhysicsWorld, plan: Plan, params: ExecutionParams, motion: MotionParams, monitor: _Monitor) -> bool:

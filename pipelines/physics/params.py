@@ -10,7 +10,8 @@ class PhysicsParams:
     """The physics recipe. It was tuned once to grasp, carry and release believably, and is no knob of task difficulty."""
 
     dt_s: float = 1 / 240  # 1/120 s changed a third of the labels
-    solver_iterations: int = 50  # Bullet's default; fewer lets objects creep in the hand
+    # Twice Bullet's default: at 50 the heaviest boxes creep 2.5 mm in five seconds of holding, at 100 0.5 mm, for a tenth more time a step.
+    solver_iterations: int = 100
     solver_residual: float = 1e-7  # ends the iterations of a step that has converged
     erp: float = 0.2  # joint, contact and friction error reduction: Bullet's default, stiff enough without jitter
     arm_position_gain: float = 0.3  # with velocity feed-forward follows a trajectory within 1 mm

@@ -61,7 +61,7 @@ def hold(world: PhysicsWorld, phase: Phase, duration_s: float, watch: Watch = no
 
 
 def close_fingers(world: PhysicsWorld, max_s: float, watch: Watch = no_watch) -> bool:
-    """Close until both fingers press on the object in two checks in a row, then keep pressing; False where they never do."""
+    """Close until both fingers press on the object in two checks in a row, then grip; False where they never do."""
     every = world.params.check_every_steps
     world.command_fingers(-world.params.finger_speed_m_s)
     n_pressing = 0
@@ -72,6 +72,7 @@ def close_fingers(world: PhysicsWorld, max_s: float, watch: Watch = no_watch) ->
             if watch(Phase.CLOSE):
                 return False
             if n_pressing >= 2:
+                world.grip()
                 return True
     return False
 

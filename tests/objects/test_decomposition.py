@@ -135,7 +135,7 @@ def test_a_users_concave_mesh_is_split_until_its_volume_fits(tmp_path: Path) -> 
     trimesh.boolean.union(bars, engine="manifold").export(tmp_path / "angle.stl")
     spec = mesh_spec(tmp_path / "angle.stl")
     solid = solid_of(spec)
-    made = decompose(spec, solid, dataclasses.replace(PARAMS, max_volume_ratio=1.02), 1)
+    made = decompose(spec, solid, dataclasses.replace(PARAMS, max_mesh_volume_ratio=1.02), 1)
     assert len(made.parts) >= 2
     assert made.volume_ratio <= 1.02
     notch = np.array([[0.02, 0.02, 0.0]])  # in the open corner of the angle, object frame

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections import Counter
 from pathlib import Path
@@ -18,6 +19,7 @@ from objects.errors import StablePoseError
 from objects.kit import StablePose
 from objects.solids import solid_of
 from objects.stable_poses import StablePoseParams, stable_poses
+from tests.objects.golden.regenerate import GOLDEN, table
 from tests.objects.shapes import MUG_SHAPE, mesh_spec, spec_of
 
 PARAMS = StablePoseParams()
@@ -179,3 +181,14 @@ def test_turning_the_mesh_turns_the_poses() -> None:
     downs = [np.array([T[:3, :3] @ -p.T_plane_object[2, :3] for p in before]), np.array([-p.T_plane_object[2, :3] for p in after])]
     nearest = np.linalg.norm(downs[0][:, None] - downs[1][None], axis=2).min(axis=1)
     assert nearest.max() < 1e-3
+
+
+def test_the_catalogues_resting_poses_are_the_golden_ones() -> None:
+    golden, now = json.loads(GOLDEN.read_text()), table()
+    assert golden.keys() == now.keys()
+    for object_id, row in golden.items():
+        assert now[object_id]["rests_percent"].keys() == row["rests_percent"].keys(), object_id
+        # One unit of the last digit, which another machine's sine may round the other way.
+        assert list(now[object_id]["rests_percent"].values()) == pytest.approx(list(row["rests_percent"].values()), abs=0.11), object_id
+        assert now[object_id]["com_mm"] == pytest.approx(row["com_mm"], abs=0.11), object_id
+        assert now[object_id]["volume_ml"] == pytest.approx(row["volume_ml"], abs=0.11), object_id

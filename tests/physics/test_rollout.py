@@ -17,7 +17,7 @@ def _held(world: PhysicsWorld, grasp: LiftedGrasp) -> None:
     world.rebuild("held", with_robot=True)
     world.set_arm(grasp.lifted_q_rad, grasp.fingers_m)
     world.set_object(grasp.T_base_lifted)
-    world.command_fingers(-PHYSICS.finger_speed_m_s)
+    world.grip()
     hold(world, Phase.HOLD, 0.05)
 
 
