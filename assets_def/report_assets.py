@@ -21,9 +21,11 @@ from assets_def.metadata import inline_figure, table_metadata
 from assets_def.partitions import tier_partitions
 from assets_def.resources import Benchmark
 from objects.kit import kits_from_tables
+from pipelines.audits import AUDITED_TABLES, audit_items, audit_rows, choose_audited
 from pipelines.repeats import Repeat, attempt_rows, choose_perturbed
 from pipelines.scene import lifted_grasps, rows_by, scenes_from_tables
 from reports.ablation import ablation_report
+from reports.audit import audit_report
 from reports.gallery import gallery_report
 from reports.load import load_release
 from reports.profile import profile_report
@@ -31,13 +33,15 @@ from reports.repeatability import choose_tasks, repeatability_report
 from reports.report import Report
 from reports.success_at_k import success_at_k_report
 from tables.identity import parse_candidate_id
-from tables.schemas import ATTEMPTS, PREDICTIONS, TIMINGS
+from tables.schemas import ATTEMPTS, AUDITS, PREDICTIONS, TIMINGS
 from tables.store import read_table, table_from_rows, write_table
 from tables.vocabulary import Perturbation
 
 REPORT_CODE_VERSION = "1"
 # Executed candidates repeated under each perturbation, and filmstrips an execution status.
 N_PERTURBED = {"mini": 24, "pilot": 300, "full": 900}
+# Solved paths rechecked, and rejections judged again for each reason.
+N_AUDITED = {"mini": (20, 3), "pilot": (500, 50), "full": (1000, 100)}
 N_FILMS = {"mini": 1, "pilot": 3, "full": 3}
 _GALLERY_TABLES = (
     "objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool",
@@ -92,6 +96,34 @@ def _repeats(tables: dict[str, pa.Table], benchmark: Benchmark, tier: str, chose
     return repeats
 
 
+@multi_asset(
+    name="audit_labels",
+    specs=[
+        AssetSpec(
+            "audits",
+            deps=["release"],
+            description="Checks planning labels by other means: solved paths in a second collision engine, spent budgets with ten times"
+            f" as much, rejections by a finer, independent judge. Rows: {AUDITS.meaning}.",
+            group_name="reports",
+            code_version=REPORT_CODE_VERSION,
+            kinds={"parquet"},
+        )
+    ],
+    check_specs=[schema_check_spec(AUDITS)],
+    partitions_def=tier_partitions,
+)
+def audits(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
+    tier = context.partition_key
+    tables = load_release(benchmark.root.release(tier), AUDITED_TABLES)
+    recipe = benchmark.recipe_of_tier(tier)
+    chosen = choose_audited(tables["candidates"], recipe.seed, *N_AUDITED[tier])
+    rows = list(audit_rows(audit_items(chosen, tables, recipe), benchmark.n_workers))
+    path = benchmark.root.tier_table(tier, "audits")
+    sidecar = write_table(AUDITS, table_from_rows(AUDITS, rows), path)
+    yield MaterializeResult("audits", metadata=table_metadata(AUDITS, path, sidecar), data_version=DataVersion(sidecar.content_hash))
+    yield schema_check(AUDITS, path)
+
+
 def _success_at_k(benchmark: Benchmark, tier: str) -> Report:
     predictions = read_table(PREDICTIONS, benchmark.root.tier_table(tier, "predictions"))
     times = read_table(TIMINGS, benchmark.root.tier_table(tier, "decision_times"))
@@ -107,6 +139,11 @@ def _ablation(benchmark: Benchmark, tier: str) -> Report:
 def _repeatability(benchmark: Benchmark, tier: str) -> Report:
     repeated = read_table(ATTEMPTS, benchmark.root.tier_table(tier, "attempts"))
     return repeatability_report(repeated, load_release(benchmark.root.release(tier), ["candidates"])["candidates"], tier=tier)
+
+
+def _audit(benchmark: Benchmark, tier: str) -> Report:
+    audited = read_table(AUDITS, benchmark.root.tier_table(tier, "audits"))
+    return audit_report(audited, load_release(benchmark.root.release(tier), ["candidates"])["candidates"], tier=tier)
 
 
 def _profile(benchmark: Benchmark, tier: str) -> Report:
@@ -145,12 +182,13 @@ success_at_k = _report_asset(
 )
 ablation = _report_asset("ablation", ["release", "predictions"], "The ranker and three ablations on the validation split.", _ablation)
 repeatability = _report_asset("repeatability", ["release", "attempts"], "How often a label comes out the same again.", _repeatability)
+audit = _report_asset("audit", ["release", "audits"], "What the audits of the planning labels found.", _audit)
 profile = _report_asset("profile", ["release"], "Counts, statuses, coverage and the ladder of policies that learn nothing.", _profile)
 gallery = _report_asset("gallery", ["release"], "Contact sheets: scenes, grasps, filmstrips of every outcome.", _gallery)
 
-report_assets = [attempts, profile, gallery, repeatability, success_at_k, ablation]
+report_assets = [attempts, audits, profile, gallery, repeatability, audit, success_at_k, ablation]
 
 
 def report_assets_of(until: str) -> list[AssetsDefinition]:
     """The report assets that need no ranker, or all."""
-    return report_assets if until == "reports" else [attempts, profile, gallery, repeatability]
+    return report_assets if until == "reports" else [attempts, audits, profile, gallery, repeatability, audit]

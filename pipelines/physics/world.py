@@ -17,6 +17,7 @@ import pybullet
 from jaxtyping import Float
 
 from objects.kit import ObjectKit
+from pipelines.physics import building
 from pipelines.physics.bodies import object_body, write_arm
 from pipelines.physics.errors import PhysicsError
 from pipelines.physics.params import PhysicsParams
@@ -52,7 +53,6 @@ class PhysicsWorld:
         self._label = ""
         self._stack: tempfile.TemporaryDirectory[str] | None = None
         self._ids: dict[str, int] = {}
-        self._links: dict[str, int] = {}
         self._fixed = ("table", *(f"obstacle {obstacle.obstacle_id}" for obstacle in self.obstacles))
         self._is_gripping = False
         self.n_steps = 0
@@ -90,12 +90,17 @@ class PhysicsWorld:
             physicsClientId=c,
         )
         pybullet.setGravity(0.0, 0.0, -GRAVITY_M_S2, physicsClientId=c)
-        self._add_table()
+        self._ids["table"] = building.add_table(c, p)
         for obstacle in self.obstacles:
-            self._add_box(f"obstacle {obstacle.obstacle_id}", obstacle.size_m / 2, obstacle.T_base_obstacle)
-        self._object = self._ids["object"] = self._add_object()
+            name = f"obstacle {obstacle.obstacle_id}"
+            self._ids[name] = building.add_box(c, p, obstacle.size_m / 2, obstacle.T_base_obstacle)
+        try:
+            self._ids["object"] = building.add_object(c, self._body, self.kit.mass_kg, self._friction, self._hulls_obj)
+        except pybullet.error as error:
+            raise PhysicsError(f"{label}: {self.kit.object_id} with {len(self.kit.parts)} convex parts: {error}") from error
         if with_robot:
-            self._robot = self._ids["robot"] = self._add_robot()
+            self._robot = building.add_robot(c, p, self._arm_urdf)
+            self._ids["robot"] = self._robot.body
 
     def remove_robot(self) -> None:
         """Take the arm out of the world: what the object does from here on is its own affair, at a third of the cost."""
@@ -110,12 +115,12 @@ class PhysicsWorld:
             # Bullet keeps a contact's normal in the base frame for as long as the contact lasts. A hand that turns would drag the normals
             # of its pads along until they point the wrong way and hold the object fast when the fingers open. A refreshed proxy has no
             # contacts, so that those of the pads are found anew in this step.
-            for finger in self._fingers:
+            for finger in self._robot.fingers:
                 pybullet.setCollisionFilterGroupMask(robot, finger, 1, -1, physicsClientId=self._client)
             if self._is_gripping:
                 # A torque lasts for one step only.
                 pybullet.setJointMotorControlArray(
-                    robot, self._fingers, pybullet.TORQUE_CONTROL, forces=[-self.finger_force_n] * 2, physicsClientId=self._client
+                    robot, self._robot.fingers, pybullet.TORQUE_CONTROL, forces=[-self.finger_force_n] * 2, physicsClientId=self._client
                 )
         pybullet.stepSimulation(physicsClientId=self._client)
         self.n_steps += 1
@@ -124,8 +129,8 @@ class PhysicsWorld:
         """Put the object at a pose, at rest."""
         pose = pose_of(T_base_object @ self._body.T_object_mass)
         # PyBullet's base pose is the mass frame, not the object frame.
-        pybullet.resetBasePositionAndOrientation(self._object, pose[:3].tolist(), pose[3:].tolist(), physicsClientId=self._client)
-        pybullet.resetBaseVelocity(self._object, [0.0] * 3, [0.0] * 3, physicsClientId=self._client)
+        pybullet.resetBasePositionAndOrientation(self._ids["object"], pose[:3].tolist(), pose[3:].tolist(), physicsClientId=self._client)
+        pybullet.resetBaseVelocity(self._ids["object"], [0.0] * 3, [0.0] * 3, physicsClientId=self._client)
 
     def object_pose(self) -> Float[np.ndarray, "4 4"]:
         """T_base_object.
@@ -133,7 +138,7 @@ class PhysicsWorld:
         Raises:
             PhysicsError: the pose is not finite.
         """
-        position, quaternion = pybullet.getBasePositionAndOrientation(self._object, physicsClientId=self._client)
+        position, quaternion = pybullet.getBasePositionAndOrientation(self._ids["object"], physicsClientId=self._client)
         pose = np.array([*position, *quaternion])
         if not np.all(np.isfinite(pose)) or np.abs(pose[:3]).max() > 1e3:
             raise PhysicsError(f"{self._label}: object pose {pose.tolist()} after {self.n_steps} steps, must be finite and within 1000 m")
@@ -141,26 +146,26 @@ class PhysicsWorld:
 
     def object_speed(self) -> tuple[float, float]:
         """Speed of the centre of mass in m/s and rate of turn in rad/s."""
-        v, w = pybullet.getBaseVelocity(self._object, physicsClientId=self._client)
+        v, w = pybullet.getBaseVelocity(self._ids["object"], physicsClientId=self._client)
         return float(np.linalg.norm(v)), float(np.linalg.norm(w))
 
     def set_arm(self, q: Float[np.ndarray, "7"], fingers_m: Sequence[float]) -> None:
         """Put arm and fingers (opening of each) at rest at a configuration and command both to stay."""
-        for joint, value in zip((*self._arm, *self._fingers), (*q, *fingers_m), strict=True):
-            pybullet.resetJointState(self._robot, joint, float(value), 0.0, physicsClientId=self._client)
+        for joint, value in zip(self._robot.joints, (*q, *fingers_m), strict=True):
+            pybullet.resetJointState(self._robot.body, joint, float(value), 0.0, physicsClientId=self._client)
         self.command_arm(q.tolist(), [0.0] * 7)
         self.command_fingers(0.0)
 
     def command_arm(self, q: Sequence[float], qd: Sequence[float]) -> None:
         """Position targets with velocity feed-forward; they hold until the next command."""
         pybullet.setJointMotorControlArray(
-            self._robot,
-            self._arm,
+            self._robot.body,
+            self._robot.arm,
             pybullet.POSITION_CONTROL,
             targetPositions=q,
             targetVelocities=qd,
-            positionGains=self._gains[0],
-            velocityGains=self._gains[1],
+            positionGains=[self.params.arm_position_gain] * 7,
+            velocityGains=[self.params.arm_velocity_gain] * 7,
             forces=ARM_FORCES_NM,
             physicsClientId=self._client,
         )
@@ -181,8 +186,8 @@ class PhysicsWorld:
 
     def _drive_fingers(self, speed_m_s: float, force_n: float) -> None:
         pybullet.setJointMotorControlArray(
-            self._robot,
-            self._fingers,
+            self._robot.body,
+            self._robot.fingers,
             pybullet.VELOCITY_CONTROL,
             targetVelocities=[speed_m_s] * 2,
             forces=[force_n] * 2,
@@ -191,7 +196,7 @@ class PhysicsWorld:
 
     def arm_state(self) -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "2"]]:
         """Measured arm configuration in radians and opening of each finger in metres."""
-        states = pybullet.getJointStates(self._robot, (*self._arm, *self._fingers), physicsClientId=self._client)
+        states = pybullet.getJointStates(self._robot.body, self._robot.joints, physicsClientId=self._client)
         q = np.array([state[0] for state in states])
         if not np.all(np.isfinite(q)):
             raise PhysicsError(f"{self._label}: joint positions {q.tolist()} after {self.n_steps} steps, must be finite")
@@ -244,91 +249,4 @@ class PhysicsWorld:
             return ()
         if link is None:
             return pybullet.getContactPoints(bodyA=a, bodyB=b, physicsClientId=self._client) or ()
-        return pybullet.getContactPoints(bodyA=a, bodyB=b, linkIndexA=self._links[link], physicsClientId=self._client) or ()
-
-    def _add_table(self) -> None:
-        (x0, x1), (y0, y1), thickness = self.params.table_x_m, self.params.table_y_m, self.params.table_thickness_m
-        T = np.eye(4)
-        T[:3, 3] = (x0 + x1) / 2, (y0 + y1) / 2, -thickness / 2
-        table = self._add_box("table", np.array([x1 - x0, y1 - y0, thickness]) / 2, T)
-        pybullet.changeDynamics(table, -1, rollingFriction=self.params.rolling_friction, physicsClientId=self._client)
-
-    def _add_box(self, name: str, half_extents_m: Float[np.ndarray, "3"], T_base_box: Float[np.ndarray, "4 4"]) -> int:
-        c, pose = self._client, pose_of(T_base_box)
-        shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half_extents_m.tolist(), physicsClientId=c)
-        body = pybullet.createMultiBody(0.0, shape, basePosition=pose[:3].tolist(), baseOrientation=pose[3:].tolist(), physicsClientId=c)
-        self._ids[name] = int(body)
-        spinning = self.params.spinning_friction
-        pybullet.changeDynamics(
-            body, -1, lateralFriction=self.params.table_friction, spinningFriction=spinning, restitution=0.0, physicsClientId=c
-        )
-        return int(body)
-
-    def _add_object(self) -> int:
-        c, body = self._client, self._body
-        parts: dict[str, list[Any]] = {"shapeTypes": [], "halfExtents": [], "fileNames": [], "collisionFramePositions": []}
-        for box in body.boxes:
-            _extend(parts, pybullet.GEOM_BOX, box.half_extents_m.tolist(), "", box.centre_m.tolist())
-        if body.hulls_obj:
-            _extend(parts, pybullet.GEOM_MESH, [1.0] * 3, self._hulls_obj, [0.0] * 3)
-        try:
-            shape = pybullet.createCollisionShapeArray(**parts, physicsClientId=c)
-            number = pybullet.createMultiBody(
-                self.kit.mass_kg,
-                shape,
-                baseInertialFramePosition=body.mass_pose[:3].tolist(),
-                baseInertialFrameOrientation=body.mass_pose[3:].tolist(),
-                # A plain rigid body is cheaper than a multibody without joints.
-                useMaximalCoordinates=True,
-                physicsClientId=c,
-            )
-        except pybullet.error as error:
-            raise PhysicsError(f"{self._label}: {self.kit.object_id} with {len(self.kit.parts)} convex parts: {error}") from error
-        pybullet.changeDynamics(
-            number,
-            -1,
-            # Bullet takes a rigid body's mass for 0 where only its inertia is given.
-            mass=self.kit.mass_kg,
-            localInertiaDiagonal=body.principal_inertia_kg_m2.tolist(),
-            lateralFriction=self._friction,
-            spinningFriction=0.0,
-            rollingFriction=0.0,
-            restitution=0.0,
-            physicsClientId=c,
-        )
-        return int(number)
-
-    def _add_robot(self) -> int:
-        c, p = self._client, self.params
-        flags = pybullet.URDF_USE_INERTIA_FROM_FILE
-        robot = int(pybullet.loadURDF(self._arm_urdf, useFixedBase=True, flags=flags, physicsClientId=c))
-        joints = {}
-        for k in range(pybullet.getNumJoints(robot, physicsClientId=c)):
-            info = pybullet.getJointInfo(robot, k, physicsClientId=c)
-            joints[info[1].decode()] = k
-            self._links[info[12].decode()] = k
-        self._arm = [joints[f"panda_joint{k}"] for k in range(1, 8)]
-        self._fingers = [joints[f"panda_finger_joint{k}"] for k in (1, 2)]
-        self._gains = [p.arm_position_gain] * 7, [p.arm_velocity_gain] * 7
-        for k in (*self._fingers, joints["panda_hand_joint"]):
-            pybullet.changeDynamics(
-                robot,
-                k,
-                lateralFriction=p.finger_friction,
-                spinningFriction=p.spinning_friction,
-                restitution=0.0,
-                # Pads solve nothing before they touch: cheaper, and without it held objects slip more. Not so the object itself, which
-                # would then sink half a millimetre into the table when it is set down.
-                contactProcessingThreshold=0.0,
-                physicsClientId=c,
-            )
-        gear = pybullet.createConstraint(
-            robot, self._fingers[0], robot, self._fingers[1], pybullet.JOINT_GEAR, [0, 1, 0], [0] * 3, [0] * 3, physicsClientId=c
-        )
-        pybullet.changeConstraint(gear, gearRatio=-1, erp=p.gear_erp, maxForce=p.gear_force_n, physicsClientId=c)
-        return robot
-
-
-def _extend(parts: dict[str, list[Any]], kind: int, half_extents: list[float], file: str, centre: list[float]) -> None:
-    for name, value in zip(parts, (kind, half_extents, file, centre), strict=True):
-        parts[name].append(value)
+        return pybullet.getContactPoints(bodyA=a, bodyB=b, linkIndexA=self._robot.links[link], physicsClientId=self._client) or ()

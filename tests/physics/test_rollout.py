@@ -6,11 +6,12 @@ import numpy as np
 import pybullet
 import pytest
 
-from pipelines.physics.rollout import Phase, close_fingers, hold, n_steps_of, open_fingers, pose_difference, pressing_fingers, settle
+from pipelines.physics.rollout import Phase, close_fingers, hold, move, n_steps_of, open_fingers, pose_difference, pressing_fingers, settle
 from pipelines.physics.world import PhysicsWorld
+from pipelines.planning.trajectory import time_path
 from pipelines.robot.arm import HOME_Q_RAD
 from pipelines.scene import LiftedGrasp
-from tests.physics.lifted import PHYSICS, lifted
+from tests.physics.lifted import MOTION, PHYSICS, lifted
 
 
 def _held(world: PhysicsWorld, grasp: LiftedGrasp) -> None:
@@ -95,5 +96,27 @@ def test_what_keeps_moving_is_not_settled() -> None:
         world.set_object(case.scene.T_base_object)
         assert settle(world, 100)
         assert world.n_steps == 24  # three checks, eight steps apart
-        pybullet.resetBaseVelocity(world._object, [0.0, 0.0, 3.0], [0.0] * 3, physicsClientId=world._client)
+        pybullet.resetBaseVelocity(world._ids["object"], [0.0, 0.0, 3.0], [0.0] * 3, physicsClientId=world._client)
         assert not settle(world, 100)
+
+
+def test_pads_push_along_the_jaw_after_a_turn_and_let_go() -> None:
+    """Bullet keeps the normals of lasting contacts in the base frame: after a turn they would hold the object fast."""
+    case = lifted("can")
+    grasp = case.grasps[0]
+    side = 1.0 if grasp.lifted_q_rad[6] < 0.0 else -1.0
+    turned = grasp.lifted_q_rad + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, side * 2.5])
+    trajectory = time_path(np.stack([grasp.lifted_q_rad, turned]), MOTION, PHYSICS.dt_s, stop_at_waypoints=True)
+    with PhysicsWorld(case.kit, (), PHYSICS) as world:
+        _held(world, grasp)
+        move(world, Phase.TRANSPORT, trajectory)
+        robot, body, jaw = world._ids["robot"], world._ids["object"], world.tcp_pose()[:3, 1]
+        points = [p for p in pybullet.getContactPoints(robot, body, physicsClientId=world._client) if p[9] > 0.5]
+        assert len(points) >= 2
+        # Flat pads on a polygon of 48 sides: half a side is 4 degrees.
+        assert min(abs(float(np.dot(p[7], jaw))) for p in points) > np.cos(np.radians(6.0))
+        assert open_fingers(world, 0.078, 0.3)
+        before_m = world.object_pose()[2, 3]
+        hold(world, Phase.OPEN, 0.15)
+        # Nothing holds it: it falls as a stone does, half g t squared less what the first moments of opening took.
+        assert before_m - world.object_pose()[2, 3] > 0.08

@@ -28,7 +28,7 @@ PARAMS = PhysicsParams()
 def _energy_j(world: PhysicsWorld) -> float:
     """Kinetic and potential energy of the object, from poses and velocities alone."""
     kit, T = world.kit, world.object_pose()
-    v, w = map(np.array, pybullet.getBaseVelocity(world._object, physicsClientId=world._client))
+    v, w = map(np.array, pybullet.getBaseVelocity(world._ids["object"], physicsClientId=world._client))
     inertia = T[:3, :3] @ kit.inertia_kg_m2 @ T[:3, :3].T
     height = float((T[:3, :3] @ kit.com_m + T[:3, 3])[2])
     return float(0.5 * kit.mass_kg * v @ v + 0.5 * w @ inertia @ w + kit.mass_kg * GRAVITY_M_S2 * height)
@@ -54,7 +54,7 @@ def test_a_spinning_mug_falls_by_its_centre_of_mass() -> None:
     with PhysicsWorld(kit, (), PARAMS) as world:
         world.rebuild("free fall", with_robot=False)
         world.set_object(T)
-        pybullet.resetBaseVelocity(world._object, [0.3, 0.0, 1.0], [0.0, 9.0, 4.0], physicsClientId=world._client)
+        pybullet.resetBaseVelocity(world._ids["object"], [0.3, 0.0, 1.0], [0.0, 9.0, 4.0], physicsClientId=world._client)
         start = T[:3, :3] @ kit.com_m + T[:3, 3]
         for _ in range(72):
             world.step()
@@ -101,7 +101,7 @@ def test_a_rolling_can_slows_down(speed_m_s: float) -> None:
         world.rebuild("rolling", with_robot=False)
         world.set_object(T)
         spin = np.cross([0, 0, 1], ahead) * speed_m_s / T[2, 3]
-        pybullet.resetBaseVelocity(world._object, (ahead * speed_m_s).tolist(), spin.tolist(), physicsClientId=world._client)
+        pybullet.resetBaseVelocity(world._ids["object"], (ahead * speed_m_s).tolist(), spin.tolist(), physicsClientId=world._client)
         start_j, most_j, deepest_m = _energy_j(world), 0.0, 0.0
         for _ in range(240):
             world.step()
@@ -154,7 +154,7 @@ def test_the_tcp_is_where_pybullet_says_the_hand_is() -> None:
     rng = np.random.default_rng(3)
     with PhysicsWorld(KITS[0], (), PARAMS) as world:
         world.rebuild("kinematics", with_robot=True)
-        robot, hand = world._ids["robot"], world._links["panda_hand"]
+        robot, hand = world._robot.body, world._robot.links["panda_hand"]
         for _ in range(20):
             q = rng.uniform(Q_LOWER_RAD, Q_UPPER_RAD)
             world.set_arm(q, (0.02, 0.02))

@@ -1,0 +1,42 @@
+"""Numerical inverse kinematics against the closed form it audits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipelines.audit import numeric_ik
+from pipelines.audit.bullet_scene import BulletScene
+from pipelines.robot.arm import Q_LOWER_RAD, Q_UPPER_RAD, fk, follow_line, ik
+from tests.builders import can_kit, panda_scene, pose
+from tests.planning.test_collision import configurations
+
+
+def test_numerical_inverse_kinematics_finds_what_the_closed_form_finds() -> None:
+    kit = can_kit()
+    n_found = 0
+    with BulletScene(panda_scene(kit), kit) as world:
+        for seed, q in enumerate(configurations(16, 3)):
+            T = fk(q)
+            found = numeric_ik.solutions(world, T, 16, np.random.default_rng(seed))
+            n_found += len(found) > 0
+            for solution in found:
+                np.testing.assert_allclose(fk(solution), T, atol=1e-6)
+                assert np.all((solution >= Q_LOWER_RAD) & (solution <= Q_UPPER_RAD))
+        # From so far away the pose cannot be reached.
+        assert numeric_ik.solutions(world, pose(1.4, 0.0, 0.5), 8, np.random.default_rng(0)) == []
+    assert n_found >= 14
+
+
+def test_numerical_lines_are_the_closed_forms() -> None:
+    kit = can_kit()
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[:3, 3] = (0.5, 0.1, 0.2)
+    T_up = T.copy()
+    T_up[2, 3] += 0.1
+    q = ik(T, 16)[5]
+    expected = follow_line(T, T_up, q, 0.0025)
+    assert expected is not None
+    with BulletScene(panda_scene(kit), kit) as world:
+        line = numeric_ik.follow_line(world, T, T_up, q, 0.0025)
+    assert line is not None
+    np.testing.assert_allclose(line, expected, atol=1e-5)
