@@ -138,7 +138,7 @@ def test_an_object_that_slid_into_a_finger_is_found_in_the_retreat() -> None:
 def test_a_solved_candidate_stored_as_rejected_flips() -> None:
     s = solved()
     wrong = [PlanStatus.NO_IK, PlanStatus.DESCEND_BLOCKED]
-    rows = [audit_unit([s.item(Audit.REJECTION, status)], PARAMS)[0] for status in wrong]
+    rows = [audit_unit([s.item(Audit.REJECTION, status)], QUICK)[0] for status in wrong]
     assert [row["agrees"] for row in rows] == [False, False]
     assert [row["audited_status"] for row in rows] == ["solved", "solved"]
     table_from_rows(AUDITS, rows[:1])
