@@ -15,7 +15,7 @@ from pipelines.execution_labels import execute_perturbed
 from pipelines.planning_labels import planning_rows
 from pipelines.recipe import Recipe
 from pipelines.scene import LiftedGrasp, Row, Scene, plan_in
-from pipelines.workers import run_units
+from pipelines.workers import UNITS_PER_WORKER_LIFE, run_units
 from tables.columns import TableSchema
 from tables.identity import candidate_id_of, order_key
 from tables.schemas import EXECUTION_LABELS, PLANNING_LABELS
@@ -60,15 +60,21 @@ def choose_perturbed(candidates: pa.Table, seed: int, n: int) -> list[tuple[str,
 
 
 def attempt_rows(repeats: Sequence[Repeat], n_workers: int) -> Iterator[Row]:
-    """Rows of `attempts`, as they finish; every repeat runs in a process of its own that has run nothing before.
+    """Rows of `attempts`, as they finish.
+
+    A plain repeat runs in a process of its own that has run nothing before; perturbed ones share workers, a second of start-up each
+    would be most of their cost.
 
     Raises:
         RepeatError: a repeat failed or its process died.
     """
-    for outcome in run_units(attempt_row, [(repeat,) for repeat in repeats], max(1, n_workers), units_per_life=1):
-        if outcome.error is not None:
-            raise RepeatError(f"{repeats[outcome.index].stored['candidate_id']}: {outcome.error}")
-        yield outcome.value
+    fresh = [repeat for repeat in repeats if repeat.perturbation is Perturbation.FRESH]
+    perturbed = [repeat for repeat in repeats if repeat.perturbation is not Perturbation.FRESH]
+    for some, units_per_life in ((fresh, 1), (perturbed, UNITS_PER_WORKER_LIFE)):
+        for outcome in run_units(attempt_row, [(repeat,) for repeat in some], max(1, n_workers), units_per_life):
+            if outcome.error is not None:
+                raise RepeatError(f"{some[outcome.index].stored['candidate_id']}: {outcome.error}")
+            yield outcome.value
 
 
 def attempt_row(repeat: Repeat) -> Row:
