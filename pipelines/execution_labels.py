@@ -87,7 +87,7 @@ def execute_perturbed(
         params = dataclasses.replace(params, hold_s=0.10)
     if perturbation is Perturbation.FINE_STEP:
         physics, params = (
-            dataclasses.replace(physics, dt_s=1 / 480),
+            dataclasses.replace(physics, dt_s=physics.dt_s / 2),
             dataclasses.replace(params, max_settle_steps=2 * params.max_settle_steps),
         )
     with PhysicsWorld(kit, scene.obstacles, physics, friction_scale) as world:

@@ -109,9 +109,6 @@ def add_robot(client: int, params: PhysicsParams, arm_urdf: str) -> RobotIds:
             lateralFriction=params.finger_friction,
             spinningFriction=params.spinning_friction,
             restitution=0.0,
-            # Pads solve nothing before they touch: cheaper, and without it held objects slip more. Not so the object itself, which
-            # would then sink half a millimetre into the table when it is set down.
-            contactProcessingThreshold=0.0,
             physicsClientId=client,
         )
     gear = pybullet.createConstraint(body, left, body, right, pybullet.JOINT_GEAR, [0, 1, 0], [0] * 3, [0] * 3, physicsClientId=client)

@@ -54,7 +54,6 @@ class PhysicsWorld:
         self._stack: tempfile.TemporaryDirectory[str] | None = None
         self._ids: dict[str, int] = {}
         self._fixed = ("table", *(f"obstacle {obstacle.obstacle_id}" for obstacle in self.obstacles))
-        self._is_gripping = False
         self.n_steps = 0
 
     def __enter__(self) -> Self:
@@ -76,7 +75,7 @@ class PhysicsWorld:
 
     def rebuild(self, label: str, *, with_robot: bool) -> None:
         """Make the world anew, always in the same order; `label` names the run in errors."""
-        self._label, self.n_steps, self._ids, self._is_gripping = label, 0, {}, False
+        self._label, self.n_steps, self._ids = label, 0, {}
         c, p = self._client, self.params
         pybullet.resetSimulation(physicsClientId=c)
         pybullet.setPhysicsEngineParameter(
@@ -110,18 +109,12 @@ class PhysicsWorld:
 
     def step(self) -> None:
         """One time step."""
-        robot = self._ids.get("robot")
-        if robot is not None:
-            # Bullet keeps a contact's normal in the base frame for as long as the contact lasts. A hand that turns would drag the normals
-            # of its pads along until they point the wrong way and hold the object fast when the fingers open. A refreshed proxy has no
-            # contacts, so that those of the pads are found anew in this step.
+        if self.has_robot and self.n_steps % self.params.check_every_steps == 0:
+            # Bullet keeps a contact's normal in the base frame for as long as the contact lasts. A hand that turns would leave the normals
+            # of its pads behind until they point the wrong way, and hold the object fast when the fingers open. A refreshed proxy has no
+            # contacts: those of the pads are found anew.
             for finger in self._robot.fingers:
-                pybullet.setCollisionFilterGroupMask(robot, finger, 1, -1, physicsClientId=self._client)
-            if self._is_gripping:
-                # A torque lasts for one step only.
-                pybullet.setJointMotorControlArray(
-                    robot, self._robot.fingers, pybullet.TORQUE_CONTROL, forces=[-self.finger_force_n] * 2, physicsClientId=self._client
-                )
+                pybullet.setCollisionFilterGroupMask(self._robot.body, finger, 1, -1, physicsClientId=self._client)
         pybullet.stepSimulation(physicsClientId=self._client)
         self.n_steps += 1
 
@@ -172,27 +165,18 @@ class PhysicsWorld:
 
     def command_fingers(self, speed_m_s: float) -> None:
         """Speed of each finger, positive opens; a blocked finger presses with the grip force at most."""
-        self._is_gripping = False
-        self._drive_fingers(speed_m_s, self.finger_force_n)
-
-    def grip(self) -> None:
-        """Let both fingers press with the grip force from now on.
-
-        A speed that is never reached does the same on paper, but its motors reach their bound late in the solver's iterations, and the
-        friction that depends on them later still: held objects crept ten times as fast.
-        """
-        self._is_gripping = True
-        self._drive_fingers(0.0, 0.0)
-
-    def _drive_fingers(self, speed_m_s: float, force_n: float) -> None:
         pybullet.setJointMotorControlArray(
             self._robot.body,
             self._robot.fingers,
             pybullet.VELOCITY_CONTROL,
             targetVelocities=[speed_m_s] * 2,
-            forces=[force_n] * 2,
+            forces=[self.finger_force_n] * 2,
             physicsClientId=self._client,
         )
+
+    def grip(self) -> None:
+        """Let both fingers, which touch the object, press with the grip force from now on."""
+        self.command_fingers(-self.params.grip_speed_m_s)
 
     def arm_state(self) -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "2"]]:
         """Measured arm configuration in radians and opening of each finger in metres."""
