@@ -29,6 +29,8 @@ from tables.poses import inverse
 from tables.vocabulary import PlanStatus
 
 HAND = ("hand", *FINGERS)
+# The closed form knows no line with the elbow straighter than this.
+_CLOSED_FORM_Q4_RAD = -0.47
 # The links that do not hold the object.
 _LINKS_BY_OBJECT = LINKS[:6]
 
@@ -48,7 +50,7 @@ def rejudge(
 
     Args:
         world: the candidate's scene, `exact`.
-        planning: what a placement is; its resolutions are not used.
+        planning: what a placement is; of its resolutions only the joints' speed along a line.
         seed: the recipe seed.
     """
     before = world.n_checked
@@ -72,6 +74,8 @@ class _SlowJudge:
         self.T_preplace[2, 3] += planning.preplace_m
         self.T_retreat[:3, 3] -= planning.retreat_m * self.T_place[:3, 2]
         self.furthest = PlanStatus.DESCEND_BLOCKED
+        # As fast as the planner lets the joints move along a line, whatever the step.
+        self.max_jump_rad = planning.max_joint_jump_rad * params.line_step_m / planning.line_step_m
         jaw_m = open_jaw_m(next(pool.jaw_width_m for pool in world.kit.grasps if pool.grasp_id == grasp.grasp_id))
         self.open_m = np.array([jaw_m / 2, jaw_m / 2])
         # Hand, fingers and object are where the TCP is, whatever the arm does: they are judged once a line, the arm once a goal.
@@ -95,10 +99,10 @@ class _SlowJudge:
         )
         if not len(closed_form) and not numeric:
             return PlanStatus.NO_IK
-        goals = [(q, True) for q in closed_form if self._is_free_goal(q)] + [(q, False) for q in numeric if self._is_free_goal(q)]
+        goals = [q for q in (*closed_form, *numeric) if self._is_free_carrying(q[None])]
         if not goals:
             return PlanStatus.IK_COLLISION
-        goals.sort(key=lambda goal: float((np.abs(goal[0] - self.grasp.lifted_q_rad) / QD_MAX_RAD_S).max()))
+        goals.sort(key=lambda q: float((np.abs(q - self.grasp.lifted_q_rad) / QD_MAX_RAD_S).max()))
         if not self._hand_can_descend():
             return PlanStatus.DESCEND_BLOCKED
         starts: list[Float[np.ndarray, "7"]] = []
@@ -119,25 +123,31 @@ class _SlowJudge:
         placed = {**hand(self._tcp_line(self.T_retreat), self.open_m), "object": self.T_base_object[None]}
         return self.world.is_free(placed, self.hand_standing)
 
-    def _ends(self, goals: list[tuple[Float[np.ndarray, "7"], bool]]) -> Iterator[Float[np.ndarray, "7"]]:
+    def _ends(self, goals: list[Float[np.ndarray, "7"]]) -> Iterator[Float[np.ndarray, "7"]]:
         """Pre-place configurations of the goals whose lines are both free."""
         can_retreat = self._hand_can_retreat()
-        for q, is_closed_form in goals:
-            up = self._line(self.T_preplace, q, is_closed_form)
-            back = self._line(self.T_retreat, q, is_closed_form) if can_retreat and up is not None else None
+        for q in goals:
+            up = self._line(self.T_preplace, q)
+            back = self._line(self.T_retreat, q) if can_retreat and up is not None else None
             # Without a retreat the descend matters only for the reason that is given.
             if up is None or (back is None and self.furthest is PlanStatus.RETREAT_BLOCKED):
                 continue
-            if not self._links_are_free(up, self.grasp.fingers_m, self.links_carrying, is_carried=True):
-                continue
-            self.furthest = PlanStatus.RETREAT_BLOCKED
-            if back is not None and self._links_are_free(back, self.open_m, self.links_standing, is_carried=False):
+            lines = [(up, self._is_free_descend), (back, self._is_free_retreat)]
+            # What stopped the goal before most likely stops this one too.
+            if self.furthest is PlanStatus.RETREAT_BLOCKED:
+                lines.reverse()
+            for line, is_free in lines:
+                if line is None or not is_free(line):
+                    break
+                if line is up:
+                    self.furthest = PlanStatus.RETREAT_BLOCKED
+            else:
                 yield up[-1]
 
-    def _line(self, T_end: Float[np.ndarray, "4 4"], q: Float[np.ndarray, "7"], is_closed_form: bool) -> Float[np.ndarray, "m 7"] | None:
-        if is_closed_form:
-            return follow_line(self.T_place, T_end, q, self.params.line_step_m)
-        return numeric_ik.follow_line(self.world, self.T_place, T_end, q, self.params.line_step_m)
+    def _line(self, T_end: Float[np.ndarray, "4 4"], q: Float[np.ndarray, "7"]) -> Float[np.ndarray, "m 7"] | None:
+        if q[3] < _CLOSED_FORM_Q4_RAD:
+            return follow_line(self.T_place, T_end, q, self.params.line_step_m, self.max_jump_rad)
+        return numeric_ik.follow_line(self.world, self.T_place, T_end, q, self.params.line_step_m, self.max_jump_rad)
 
     def _tcp_line(self, T_end: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "m 4 4"]:
         way_m = T_end[:3, 3] - self.T_place[:3, 3]
@@ -146,22 +156,19 @@ class _SlowJudge:
         T[:, :3, 3] += np.linspace(0.0, 1.0, n)[:, None] * way_m
         return T
 
-    def _is_free_goal(self, q: Float[np.ndarray, "7"]) -> bool:
-        return self._is_free_carrying(q[None])
-
     def _is_free_carrying(self, q: Float[np.ndarray, "n 7"]) -> bool:
         placed = self.world.arm(q, self.grasp.fingers_m)
         return self.world.is_free({**placed, "object": placed["tcp"] @ self.grasp.T_tcp_object}, self.carrying)
 
-    def _links_are_free(
-        self, q: Float[np.ndarray, "n 7"], fingers_m: Float[np.ndarray, "2"], pairs: list[Pair], *, is_carried: bool
-    ) -> bool:
-        placed = self.world.arm(q, fingers_m)
-        T_object = placed["tcp"] @ self.grasp.T_tcp_object if is_carried else self.T_base_object[None]
-        return self.world.is_free({**placed, "object": T_object}, pairs)
+    def _is_free_descend(self, q: Float[np.ndarray, "n 7"]) -> bool:
+        placed = self.world.arm(q, self.grasp.fingers_m)
+        return self.world.is_free({**placed, "object": placed["tcp"] @ self.grasp.T_tcp_object}, self.links_carrying)
+
+    def _is_free_retreat(self, q: Float[np.ndarray, "n 7"]) -> bool:
+        return self.world.is_free({**self.world.arm(q, self.open_m), "object": self.T_base_object[None]}, self.links_standing)
 
     def _search(self, goals: Float[np.ndarray, "g 7"]) -> PlanStatus:
-        checks = CountedChecks(lambda q: not self._is_free_goal(q))
+        checks = CountedChecks(lambda q: not self._is_free_carrying(q[None]))
         seed = ompl_seed_for(self.seed, "audit_search", self.candidate_id)
         path = search_path(self.grasp.lifted_q_rad, goals, checks, self.planning.search, seed)
         return PlanStatus.BUDGET_SPENT if path is None else PlanStatus.SOLVED

@@ -37,6 +37,6 @@ def test_numerical_lines_are_the_closed_forms() -> None:
     expected = follow_line(T, T_up, q, 0.0025)
     assert expected is not None
     with BulletScene(panda_scene(kit), kit) as world:
-        line = numeric_ik.follow_line(world, T, T_up, q, 0.0025)
+        line = numeric_ik.follow_line(world, T, T_up, q, 0.0025, 0.1)
     assert line is not None
     np.testing.assert_allclose(line, expected, atol=1e-5)
