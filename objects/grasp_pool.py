@@ -25,6 +25,8 @@ from tables.identity import rng_for
 from tables.vocabulary import Category
 
 GRAVITY_M_S2 = 9.81
+# Friction of the objects in the trials behind the torque limits; the torque that pads hold grows with friction.
+TRIED_FRICTION = 0.8
 _N_PROBES = 300  # on a cracker box one every 18 mm: a quick test only, the exact one follows
 
 
@@ -219,7 +221,7 @@ def _serves(
     clear = clears_table(T_plane_grasp, pairs.width_m, params.table_clearance_m, params.approach_m)
     weight_n = spec.mass_kg * GRAVITY_M_S2 * rest.T_plane_object[2, :3]
     torque_n_m = np.abs(np.einsum("nj,nj->n", np.cross(com_m - pairs.a_m, weight_n), pairs.axis))
-    most_n_m = params.max_torque_n_m + params.max_torque_n_m_per_kg * spec.mass_kg
+    most_n_m = (params.max_torque_n_m + params.max_torque_n_m_per_kg * spec.mass_kg) * spec.friction / TRIED_FRICTION
     load = torque_n_m / (most_n_m * (params.line_contact_share if spec.category is Category.CAN else 1.0))
     return np.where(clear & (load <= 1.0), reach_chance(T_plane_grasp) * (1.0 - 0.3 * load), 0.0)
 

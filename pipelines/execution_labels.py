@@ -86,10 +86,9 @@ def execute_perturbed(
     if perturbation is Perturbation.HOLD:
         params = dataclasses.replace(params, hold_s=0.10)
     if perturbation is Perturbation.FINE_STEP:
-        physics, params = (
-            dataclasses.replace(physics, dt_s=physics.dt_s / 2),
-            dataclasses.replace(params, max_settle_steps=2 * params.max_settle_steps),
-        )
+        # Twice the steps between checks too: what is measured is the step, not how often the outcome is looked at.
+        physics = dataclasses.replace(physics, dt_s=physics.dt_s / 2, check_every_steps=2 * physics.check_every_steps)
+        params = dataclasses.replace(params, max_settle_steps=2 * params.max_settle_steps)
     with PhysicsWorld(kit, scene.obstacles, physics, friction_scale) as world:
         return execute_candidate(world, scene, grasp, target_id, plan, params, motion)
 

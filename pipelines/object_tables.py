@@ -16,7 +16,7 @@ from pipelines.workers import run_units
 from tables.schemas import ALL_SCHEMAS, SCHEMA_VERSION
 from tables.store import Sidecar, file_sha256, read_sidecar, sidecar_path, table_from_rows, write_table
 
-OBJECT_CODE_VERSION = "1"
+OBJECT_CODE_VERSION = "2"
 
 
 class ObjectTablesError(RuntimeError):

@@ -141,10 +141,10 @@ def _lifted_ids(rows: SceneRows) -> list[int]:
 _SCENE = (s.SCENES, s.OBSTACLES, s.TARGETS)
 
 STAGES = (
-    Stage("scenes", "1", (), (s.SCENES, s.SCENE_ATTEMPTS, s.OBSTACLES, s.TARGETS), ("scene_sampling", "physics"), _sample),
+    Stage("scenes", "2", (), (s.SCENES, s.SCENE_ATTEMPTS, s.OBSTACLES, s.TARGETS), ("scene_sampling", "physics"), _sample),
     Stage("scene_points", "1", _SCENE, (s.SCENE_POINTS,), ("camera",), _see),
     Stage("grasp_admission", "1", _SCENE, (s.GRASP_ADMISSION,), ("grasp_admission",), _admit),
-    Stage("pick_lift", "1", (*_SCENE, s.GRASP_ADMISSION), (s.PICK_LIFT,), ("pick_lift", "motion", "physics"), _lift, _admitted_ids),
+    Stage("pick_lift", "2", (*_SCENE, s.GRASP_ADMISSION), (s.PICK_LIFT,), ("pick_lift", "motion", "physics"), _lift, _admitted_ids),
     Stage("candidate_pairs", "1", (*_SCENE, s.PICK_LIFT), (s.CANDIDATE_PAIRS,), (), _pair),
     Stage("policy_features", "1", (*_SCENE, s.PICK_LIFT), (s.POLICY_FEATURES,), (), _judge_cheaply),
     Stage(
@@ -158,7 +158,7 @@ STAGES = (
     ),
     Stage(
         "execution_labels",
-        "1",
+        "2",
         (*_SCENE, s.PICK_LIFT, s.PLANS),
         (s.EXECUTION_LABELS,),
         ("execution", "motion", "physics"),

@@ -5,7 +5,9 @@ A worker that dies takes down its unit only. Nothing here decides a label: order
 
 from __future__ import annotations
 
+import atexit
 import multiprocessing
+import multiprocessing.context
 import os
 import resource
 import sys
@@ -16,6 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from pebble import ProcessExpired, ProcessPool
@@ -68,27 +71,58 @@ def run_units(
             yield from _finished(waiting)
 
 
+class _Process(multiprocessing.context.ForkServerProcess):
+    """A worker that does not import its parent's main module again: Dagster's command line costs seconds, and nothing in it is needed."""
+
+    def start(self) -> None:
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = types.ModuleType("__main__")
+        try:
+            super().start()
+        finally:
+            sys.modules["__main__"] = main
+
+
+class _Context(multiprocessing.context.ForkServerContext):
+    Process = _Process
+
+
 @contextmanager
 def _pool(n_workers: int, units_per_life: int) -> Iterator[ProcessPool]:
-    for name in THREAD_VARIABLES:
-        os.environ[name] = "1"
-    context = multiprocessing.get_context("forkserver")
-    # Engines are imported once in the fork server instead of once in every worker.
-    context.set_forkserver_preload(["pipelines.stages"])
-    # A worker imports its parent's main module again, here Dagster's command line: seconds a worker, and nothing in it is needed.
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = types.ModuleType("__main__")
-    pool = ProcessPool(max_workers=n_workers, max_tasks=units_per_life, context=context)
+    """Workers of the usual life are kept for the next call: a shard has eight stages, and starting workers costs a second or two."""
+    is_kept = units_per_life == UNITS_PER_WORKER_LIFE
+    pool = _kept_pool(n_workers) if is_kept else _new_pool(n_workers, units_per_life)
     try:
         yield pool
-        pool.close()
     except BaseException:
         # An interrupt ends the units in work instead of waiting for them.
-        pool.stop()
+        _kept_pool.cache_clear()
+        _end(pool)
         raise
-    finally:
+    if not is_kept:
+        pool.close()
         pool.join()
-        sys.modules["__main__"] = main
+
+
+@cache
+def _kept_pool(n_workers: int) -> ProcessPool:
+    pool = _new_pool(n_workers, UNITS_PER_WORKER_LIFE)
+    atexit.register(_end, pool)
+    return pool
+
+
+def _new_pool(n_workers: int, units_per_life: int) -> ProcessPool:
+    for name in THREAD_VARIABLES:
+        os.environ[name] = "1"
+    context = _Context()
+    # Engines are imported once in the fork server instead of once in every worker.
+    context.set_forkserver_preload(["pipelines.stages"])
+    return ProcessPool(max_workers=n_workers, max_tasks=units_per_life, context=context)
+
+
+def _end(pool: ProcessPool) -> None:
+    pool.stop()
+    pool.join()
 
 
 def _finished(waiting: dict[Future[Any], int]) -> Iterator[Outcome]:

@@ -109,6 +109,9 @@ def add_robot(client: int, params: PhysicsParams, arm_urdf: str) -> RobotIds:
             lateralFriction=params.finger_friction,
             spinningFriction=params.spinning_friction,
             restitution=0.0,
+            # Without it a held object creeps, some micrometres a step: friction alone stops speeds, an anchor remembers the place. It
+            # gives way where Coulomb's bound is reached.
+            frictionAnchor=1,
             physicsClientId=client,
         )
     gear = pybullet.createConstraint(body, left, body, right, pybullet.JOINT_GEAR, [0, 1, 0], [0] * 3, [0] * 3, physicsClientId=client)

@@ -6,6 +6,7 @@ what follows is bit-identical in any order and process.
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -55,6 +56,7 @@ class PhysicsWorld:
         self._ids: dict[str, int] = {}
         self._fixed = ("table", *(f"obstacle {obstacle.obstacle_id}" for obstacle in self.obstacles))
         self.n_steps = 0
+        self._pads_since: Float[np.ndarray, "4"] | None = None  # orientation of the hand when the pads' contacts were last found anew
 
     def __enter__(self) -> Self:
         self._stack = tempfile.TemporaryDirectory(prefix="placebench-physics-")
@@ -76,6 +78,7 @@ class PhysicsWorld:
     def rebuild(self, label: str, *, with_robot: bool) -> None:
         """Make the world anew, always in the same order; `label` names the run in errors."""
         self._label, self.n_steps, self._ids = label, 0, {}
+        self._pads_since = None
         c, p = self._client, self.params
         pybullet.resetSimulation(physicsClientId=c)
         pybullet.setPhysicsEngineParameter(
@@ -110,13 +113,24 @@ class PhysicsWorld:
     def step(self) -> None:
         """One time step."""
         if self.has_robot and self.n_steps % self.params.check_every_steps == 0:
-            # Bullet keeps a contact's normal in the base frame for as long as the contact lasts. A hand that turns would leave the normals
-            # of its pads behind until they point the wrong way, and hold the object fast when the fingers open. A refreshed proxy has no
-            # contacts: those of the pads are found anew.
-            for finger in self._robot.fingers:
-                pybullet.setCollisionFilterGroupMask(self._robot.body, finger, 1, -1, physicsClientId=self._client)
+            self._refresh_pads()
         pybullet.stepSimulation(physicsClientId=self._client)
         self.n_steps += 1
+
+    def _refresh_pads(self) -> None:
+        """Find the contacts of the pads anew once the hand has turned.
+
+        Bullet keeps a contact's normal in the base frame for as long as the contact lasts. A hand that turns would leave the normals of
+        its pads behind until they point the wrong way, and hold the object fast when the fingers open. A refreshed proxy has no contacts.
+        It has lost what its anchors remember, too: a hand that does not turn is left alone.
+        """
+        now = np.array(pybullet.getLinkState(self._robot.body, self._robot.links["panda_hand"], physicsClientId=self._client)[1])
+        if self._pads_since is None:
+            self._pads_since = now
+        if 2.0 * math.acos(min(1.0, abs(float(now @ self._pads_since)))) > self.params.pad_refresh_rad:
+            self._pads_since = now
+            for finger in self._robot.fingers:
+                pybullet.setCollisionFilterGroupMask(self._robot.body, finger, 1, -1, physicsClientId=self._client)
 
     def set_object(self, T_base_object: Float[np.ndarray, "4 4"]) -> None:
         """Put the object at a pose, at rest."""
