@@ -32,7 +32,8 @@ class ShardProgress(logging.Handler):
         self.seconds_by_stage: dict[str, float] = {}
         self._shares = dict(FIRST_SHARES)
         self._started: dict[str, float] = {}
-        self._n_finished = 0
+        self._n_finished, self._n_shards = 0, n_shards
+        self._console, self._start = console, time.perf_counter()
         self._bar = Progress(
             TextColumn("{task.description:<34}"),
             BarColumn(),
@@ -70,7 +71,12 @@ class ShardProgress(logging.Handler):
         self._bar.update(self._task, completed=self._n_finished + share, description=text)
 
     def finish_shard(self) -> None:
+        """Learn the shares of the stages; a log, which shows no bar, gets a line a shard."""
         self._n_finished += 1
+        if not self._console.is_terminal:
+            spent_s = time.perf_counter() - self._start
+            left_s = spent_s / self._n_finished * (self._n_shards - self._n_finished)
+            self._console.print(f"{self._n_finished} of {self._n_shards} shards in {spent_s:.0f} s, about {left_s:.0f} s left")
         self._started.clear()
         total = sum(self.seconds_by_stage.values())
         if total > 0:

@@ -21,6 +21,7 @@ from assets_def.metadata import table_metadata
 from assets_def.partitions import shards_to_tiers, tier_partitions
 from assets_def.resources import Benchmark, family_of_tier
 from pipelines.joined import join_candidates, join_grasps
+from pipelines.recipe import Recipe
 from pipelines.shard_runner import read_timings
 from pipelines.stages import STAGES
 from splits.label_errors import find_label_errors
@@ -79,9 +80,9 @@ def joined_tables(context: AssetExecutionContext, benchmark: Benchmark) -> Itera
     }
     for schema in (CANDIDATES, GRASPS):
         yield from _published(benchmark, tier, schema, tables[schema.name])
-    yield consistency_result(
-        "candidates", find_label_errors(tables["candidates"], tables["grasps"], _over_shards(benchmark, tier, "targets"))
-    )
+    targets = _over_shards(benchmark, tier, "targets")
+    errors = find_label_errors(tables["candidates"], tables["grasps"], targets, **_tolerances(benchmark.recipe_of_tier(tier)))
+    yield consistency_result("candidates", errors)
 
 
 @multi_asset(
@@ -152,7 +153,7 @@ def release(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[Ma
     directory = benchmark.root.release(tier)
     recipe = benchmark.recipe_of_tier(tier)
     provenance = {"recipe_hash": recipe.hash_of(), "recipe_seed": str(recipe.seed), **_code_versions()}
-    manifest = write_release(tables, directory, tier, DATA_VERSION, provenance)
+    manifest = write_release(tables, directory, tier, DATA_VERSION, provenance, **_tolerances(recipe))
     metadata: dict[str, Any] = {
         "path": MetadataValue.path(str(directory)),
         "version": manifest.version,
@@ -178,6 +179,11 @@ def _published(benchmark: Benchmark, tier: str, schema: TableSchema, table: pa.T
     sidecar = write_table(schema, table, path)
     yield MaterializeResult(schema.name, metadata=table_metadata(schema, path, sidecar), data_version=DataVersion(sidecar.content_hash))
     yield schema_check(schema, path)
+
+
+def _tolerances(recipe: Recipe) -> dict[str, float]:
+    execution = recipe.execution
+    return {"position_tolerance_m": execution.position_tolerance_m, "rotation_tolerance_rad": execution.rotation_tolerance_rad}
 
 
 def _code_versions() -> Mapping[str, str]:

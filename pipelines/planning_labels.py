@@ -31,8 +31,10 @@ class PlanningParams:
     release_height_m: float = 0.003
     preplace_m: float = 0.10  # straight descend: an obstacle is 0.12 m high, so the object comes down beside it
     retreat_m: float = 0.10  # straight retreat along the approach: longer than a finger
-    n_q7: int = 32  # 128 with 1 mm lines and 0.005 rad edges moves 2 labels in 920; 16 would move 0.5 %
-    max_goals: int = 128  # all: the nearest 16 lie so close that 4 in 1,000 labels were blocked for all of them but not for the next
+    n_q7: int = (
+        128  # lines of 0.15 m can be followed from a narrow range only: 32 miss 7 plans in 3,240 candidates that 256 find, 128 miss 1
+    )
+    max_goals: int = 512  # all: the nearest 16 lie so close that 4 in 1,000 labels were blocked for all of them but not for the next
     line_step_m: float = 0.0025  # at 5 mm, 3-6 % of line verdicts flip
     max_joint_jump_rad: float = 0.1  # a line step: 0.35 rad flips no label, but such lines take up to 11 s instead of 1.1
     clearance_step_rad: float = 0.05  # between clearance samples of the transport: 2-4 cm at the TCP, about 30 samples, a tenth of the cost

@@ -146,7 +146,7 @@ STAGES = (
     Stage("grasp_admission", "1", _SCENE, (s.GRASP_ADMISSION,), ("grasp_admission",), _admit),
     Stage("pick_lift", "2", (*_SCENE, s.GRASP_ADMISSION), (s.PICK_LIFT,), ("pick_lift", "motion", "physics"), _lift, _admitted_ids),
     Stage("candidate_pairs", "1", (*_SCENE, s.PICK_LIFT), (s.CANDIDATE_PAIRS,), (), _pair),
-    Stage("policy_features", "1", (*_SCENE, s.PICK_LIFT), (s.POLICY_FEATURES,), (), _judge_cheaply),
+    Stage("policy_features", "2", (*_SCENE, s.PICK_LIFT), (s.POLICY_FEATURES,), (), _judge_cheaply),
     Stage(
         "planning_labels",
         "1",

@@ -33,7 +33,7 @@ _TEXTS = {
         "Searches that ended with their budget of checks spent, made again with ten times as many. A disagreement is a plan that was found."
     ),
     Audit.REJECTION: (
-        "Each candidate is judged anew with 128 values of joint 7, lines in 1 mm steps and edges in 0.005 rad steps. Independent of the"
+        "Each candidate is judged anew with 256 values of joint 7, lines in 1 mm steps and edges in 0.005 rad steps. Independent of the"
         " planner are all verdicts on collision (pybullet's engine; mugs and link6 as exact triangle meshes) and the inverse kinematics"
         " from random starts that joins the closed form; the closed form, the lines and the search are the planner's, only finer. A"
         " disagreement (a flip) is a whole motion that was found; another reason for the same rejection is not."

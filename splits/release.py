@@ -83,6 +83,8 @@ def write_release(
         "licence": LICENCE,
         "schema_version": SCHEMA_VERSION,
         "release_hash": release_hash,
+        "position_tolerance_m": f"{position_tolerance_m:g}",
+        "rotation_tolerance_rad": f"{rotation_tolerance_rad:.4g}",
         "scenes_of_tier": str(sum(len(scenes_of_shard(shard)) for shard in shards_of_tier(tier))),
         **provenance,
     }

@@ -12,7 +12,7 @@ class AuditParams:
     step_rad: float = 0.005  # largest joint step between rechecked configurations: a quarter of the planner's, 5 mm at most at the TCP
     max_depth_m: float = 0.001  # deeper is a bug; less is what two engines may differ by in a touch that the planner tolerates
     budget_factor: int = 10  # of the planner's checks
-    n_q7: int = 128  # four times the planner's grid of the redundant joint
+    n_q7: int = 256  # twice the planner's grid of the redundant joint
     line_step_m: float = 0.001  # of descend and retreat; the planner's is 2.5 mm
     n_restarts: int = 64  # random starts of the numerical inverse kinematics, which knows nothing of grids and branches
 

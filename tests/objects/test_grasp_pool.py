@@ -142,9 +142,9 @@ def test_each_grasp_lifts_the_object_off_some_resting_pose_without_turning_it(ki
         about_jaw = np.abs(np.einsum("nj,nj->n", torque, T[:, :3, 1]))
         clear = clears_table(T, widths(kit), PARAMS.table_clearance_m, PARAMS.approach_m)
         least = np.minimum(least, np.where(clear, about_jaw, np.inf))
-    # The pads' depth moves the TCP off the jaw line by up to 5 mm.
+    # The pads' depth moves the TCP off the jaw line by up to 7 mm.
     limit = (PARAMS.max_torque_n_m + PARAMS.max_torque_n_m_per_kg * kit.mass_kg) * kit.friction / TRIED_FRICTION
-    assert least.max() <= limit + 0.005 * kit.mass_kg * GRAVITY_M_S2
+    assert least.max() <= limit + 0.007 * kit.mass_kg * GRAVITY_M_S2
 
 
 def test_kinds_are_where_the_fingers_are(kits: dict[str, ObjectKit]) -> None:

@@ -77,6 +77,6 @@ def test_reach_is_that_of_the_pool_grasp_at_the_target() -> None:
     kit = box_kit()
     scene = panda_scene(kit)
     features, _ = policy_feature_rows(kit, scene, [g.grasp_id for g in kit.grasps], range(8))
-    expected = [len(ik(t.T_base_target @ g.T_object_grasp)) > 0 for t in scene.targets for g in kit.grasps]
+    expected = [len(ik(t.T_base_target @ g.T_object_grasp, 128)) > 0 for t in scene.targets for g in kit.grasps]
     assert [row["ik_feasible"] for row in features] == expected
     assert 0.0 < np.mean(expected) < 1.0
