@@ -121,12 +121,12 @@ def _plan(unit: Unit) -> UnitResult:
 def _execute(unit: Unit) -> UnitResult:
     scene, recipe = _scene(unit), unit.recipe
     (grasp,) = (grasp for grasp in lifted_grasps(unit.rows["pick_lift"]) if grasp.grasp_id == unit.grasp_id)
-    rows, timings = [], []
-    for row in unit.rows["plans"]:
-        start = time.process_time_ns()
-        plans = {parse_candidate_id(row["candidate_id"]).target_id: plan_in(row)}
-        rows += execution_rows(unit.kit, scene, grasp, plans, recipe.execution, recipe.motion, recipe.physics)
+    plans = {parse_candidate_id(row["candidate_id"]).target_id: plan_in(row) for row in unit.rows["plans"]}
+    rows, timings, start = [], [], time.process_time_ns()
+    for row in execution_rows(unit.kit, scene, grasp, plans, recipe.execution, recipe.motion, recipe.physics):
+        rows.append(row)
         timings.append(_timing("execution_labels", row["candidate_id"], start))
+        start = time.process_time_ns()
     return UnitResult({"execution_labels": rows}, timings)
 
 

@@ -66,11 +66,11 @@ def test_the_same_bits_in_any_order(name: str) -> None:
     case = lifted(name)
     grasp = case.grasps[0]
     plans = case.plans[grasp.grasp_id]
-    forwards = execution_rows(case.kit, case.scene, grasp, plans, PARAMS, MOTION, PHYSICS)
+    forwards = list(execution_rows(case.kit, case.scene, grasp, plans, PARAMS, MOTION, PHYSICS))
     with PhysicsWorld(case.kit, case.scene.obstacles, PHYSICS) as world:
         backwards = [execute_candidate(world, case.scene, grasp, t, plans[t], PARAMS, MOTION) for t in sorted(plans, reverse=True)]
     last = max(plans)
-    alone = execution_rows(case.kit, case.scene, grasp, {last: plans[last]}, PARAMS, MOTION, PHYSICS)
+    alone = list(execution_rows(case.kit, case.scene, grasp, {last: plans[last]}, PARAMS, MOTION, PHYSICS))
     assert len(forwards) >= 3
     assert forwards == backwards[::-1]
     assert alone == forwards[-1:]
