@@ -157,12 +157,21 @@ def _objects_table(frame: pl.DataFrame, grasps: pl.DataFrame) -> str:
                 own["scene_id"].n_unique(),
                 f"{admitted.height / max(1, own['scene_id'].n_unique()):.1f}",
                 percent(_share_of(admitted, pl.col("lift_status") == LiftStatus.LIFTED.value)),
+                _reasons(admitted.filter(pl.col("lift_status") != LiftStatus.LIFTED.value), "lift_status"),
                 count(candidates.height),
                 percent(_share_of(candidates, pl.col("y_plan"))),
                 percent(_share_of(planned, pl.col("success"))),
             ]
         )
-    return table(["object", "scenes", "admitted a scene", "lifted of admitted", "candidates", "planned", "success of planned"], rows)
+    return table(
+        ["object", "scenes", "admitted a scene", "lifted of admitted", "others", "candidates", "planned", "success of planned"], rows
+    )
+
+
+def _reasons(rows: pl.DataFrame, column: str) -> str | None:
+    """How often each status occurs, the most frequent first."""
+    counts = rows.group_by(column).len().sort(["len", column], descending=[True, False]).rows()
+    return ", ".join(f"`{status}` {n}" for status, n in counts) or None
 
 
 def _share_of(frame: pl.DataFrame, what: pl.Expr) -> float | None:

@@ -5,7 +5,7 @@ Executing them is the pipelines' work; this module chooses before any outcome is
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -28,6 +28,9 @@ N_REPEATS = paper.N_REPEATS // paper.N_TASKS_REPEATED
 
 # |tolerance_margin| of the stored label: 0 is exactly at the tolerance, 1 exactly on the target or twice the tolerance away.
 _MARGIN_BINS = (0.0, 0.05, 0.1, 0.25, 0.5, 0.75, 1.0, float("inf"))
+
+# Largest motion in the hand before release, of the stored execution, in millimetres.
+_SLIP_BINS = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, float("inf"))
 
 _STAGES = {
     "plan_status": "planning status",
@@ -111,7 +114,7 @@ def repeatability_report(attempts: pa.Table, candidates: pa.Table, *, tier: str)
 
 def _compared(attempts: pl.DataFrame, candidates: pl.DataFrame) -> pl.DataFrame:
     """One row an attempt with the stored label beside it and a flag for every stage that differs."""
-    stored = candidates.select("candidate_id", "category", "plan_status", "exec_status", "tolerance_margin")
+    stored = candidates.select("candidate_id", "category", "plan_status", "exec_status", "tolerance_margin", "transport_slip_m")
     frame = attempts.join(stored, on="candidate_id", how="left", suffix="_stored")
     strange = frame.filter(pl.col("plan_status_stored").is_null())
     if not strange.is_empty():
@@ -199,7 +202,8 @@ def _perturbed_section(perturbed: pl.DataFrame) -> tuple[list[str], dict[str, fl
         [f"`{status}`", _mismatch(own, "success"), _mismatch(own, "exec_status")]
         for (status,), own in sorted(executed.partition_by("exec_status_stored", as_dict=True).items(), key=lambda item: -item[1].height)
     ]
-    bins = _margin_bins(executed)
+    bins = _binned(executed, pl.col("tolerance_margin").abs(), _MARGIN_BINS)
+    slip_bins = _binned(executed, 1e3 * pl.col("transport_slip_m"), _SLIP_BINS)
     figure_rows = {label: _estimate(own, "success") for label, own in bins.items()}
     metrics["executed.flip_rate"] = _rate(executed, "success")
     blocks = [
@@ -212,21 +216,28 @@ def _perturbed_section(perturbed: pl.DataFrame) -> tuple[list[str], dict[str, fl
         table(["perturbation", *categories], by_category),
         "### Flips by distance from the tolerance, planned candidates",
         "Distance is |`tolerance_margin`| of the stored label; *none* are executions that ended without a final pose to judge.",
-        table(["distance", "attempts", "flips [95 %]"], [[label, own.height, _mismatch(own, "success")] for label, own in bins.items()]),
+        _flips(bins, "distance"),
+        "### Flips by slip in the hand, planned candidates",
+        "What slips lands further from its target or falls, so far-off failures flip with the slip: the distance from the tolerance says"
+        " nothing of it. Slip is `transport_slip_m` of the stored execution.",
+        _flips(slip_bins, "slip [mm]"),
         "### Flips by stored execution status",
         table(["stored status", "flips [95 %]", "status differs [95 %]"], by_status),
     ]
     return blocks, metrics, shares_figure(figure_rows, "Labels that flip, by distance from the tolerance", "attempts that flip [%]")
 
 
-def _margin_bins(executed: pl.DataFrame) -> dict[str, pl.DataFrame]:
-    distance = pl.col("tolerance_margin").abs()
+def _binned(executed: pl.DataFrame, value: pl.Expr, edges: Sequence[float]) -> dict[str, pl.DataFrame]:
     bins = {}
-    for low, high in pairwise(_MARGIN_BINS):
+    for low, high in pairwise(edges):
         label = f"{low:g} to {high:g}" if high < float("inf") else f"from {low:g}"
-        bins[label] = executed.filter((distance >= low) & (distance < high))
-    bins["none"] = executed.filter(distance.is_null())
+        bins[label] = executed.filter((value >= low) & (value < high))
+    bins["none"] = executed.filter(value.is_null())
     return {label: own for label, own in bins.items() if not own.is_empty()}
+
+
+def _flips(bins: Mapping[str, pl.DataFrame], title: str) -> str:
+    return table([title, "attempts", "flips [95 %]"], [[label, own.height, _mismatch(own, "success")] for label, own in bins.items()])
 
 
 def _is(perturbation: Perturbation) -> pl.Expr:
