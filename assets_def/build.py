@@ -1,6 +1,7 @@
 """Builds a tier from a terminal: `python -m assets_def.build mini|pilot|full`; every step is a Dagster run, visible in the UI.
 
-Shards that are up to date are skipped, so a killed build continues where it was: it loses at most the scenes in work.
+Shards that are up to date are skipped, so a killed build continues where it was: it loses at most the scenes in work and those that
+were finished in the last five seconds.
 """
 
 from __future__ import annotations

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,10 +13,9 @@ from objects.kit import ObjectKit, kits_from_tables
 from pipelines.data_root import OBJECT_TABLES, DataRoot
 from pipelines.layout import SceneLayout, scene_layout
 from pipelines.recipe import Recipe
-from pipelines.scene import Row
+from pipelines.scene_parts import SceneParts
 from pipelines.stages import Stage, UnitResult, rows_by_scene, units_of
 from pipelines.workers import run_units
-from tables.columns import TableSchema
 from tables.identity import scenes_of_shard
 from tables.schemas import SCHEMA_VERSION, TIMINGS
 from tables.store import (
@@ -27,7 +25,6 @@ from tables.store import (
     read_sidecar,
     read_tables,
     sidecar_path,
-    table_from_rows,
     write_table,
 )
 
@@ -70,7 +67,8 @@ class ShardInputs:
 
 def load_shard_inputs(root: DataRoot, shard: str, recipe: Recipe) -> ShardInputs:
     """Inputs of a whole shard, with the objects that are published below `root`."""
-    layouts = [scene_layout(scene_id, catalogue_order()) for scene_id in scenes_of_shard(shard)]
+    order = catalogue_order()
+    layouts = [scene_layout(scene_id, order) for scene_id in scenes_of_shard(shard)]
     hashes = [read_sidecar(root.object_table(name)).content_hash for name in OBJECT_TABLES]
     return ShardInputs(recipe, kits_from_tables(**root.read_objects()), layouts, "-".join(h[:16] for h in hashes))
 
@@ -99,7 +97,8 @@ def run_stage(
     if published is not None:
         return StageReport(published, is_reused=True)
     upstream = rows_by_scene(root.read_shard(shard, stage.inputs), [layout.scene_id for layout in inputs.layouts])
-    missing = [layout for layout in inputs.layouts if not _has_part(stage, shard, root, layout.scene_id, made_from)]
+    parts = SceneParts(stage, shard, root, made_from)
+    missing = [layout for layout in inputs.layouts if not parts.is_on_disk(layout.scene_id)]
     units = [
         unit
         for layout in missing
@@ -110,29 +109,33 @@ def run_stage(
         n_left[unit.layout.scene_id] += 1
     results: dict[str, list[UnitResult]] = {scene_id: [] for scene_id in n_left}
     for scene_id in [scene_id for scene_id, n in n_left.items() if n == 0]:
-        _write_part(stage, shard, root, scene_id, [], made_from)
+        parts.add(scene_id, [])
     failures: dict[str, str] = {}
     core_ms = peak_gib = 0.0
-    for n_done, outcome in enumerate(run_units(stage.run, [(unit,) for unit in units], n_workers), 1):
-        unit = units[outcome.index]
-        scene_id = unit.layout.scene_id
-        core_ms += outcome.core_ms
-        peak_gib = max(peak_gib, outcome.peak_gib)
-        n_left[scene_id] -= 1
-        if outcome.error is None:
-            results[scene_id].append(outcome.value)
-        else:
-            grasp = "" if unit.grasp_id is None else f"-g{unit.grasp_id:02d}"
-            failures.setdefault(scene_id, f"{scene_id}{grasp}: {outcome.error}")
-        if n_left[scene_id] == 0 and scene_id not in failures:
-            _write_part(stage, shard, root, scene_id, results.pop(scene_id), made_from)
-        on_progress(Progress(stage.name, shard, n_done, len(units)))
-    if failures:
-        reasons = "\n".join(failures[scene_id] for scene_id in sorted(failures))
-        raise StageError(
-            f"{shard}.{stage.name}: {len(failures)} of {len(inputs.layouts)} scenes failed, must be 0; the others are kept:\n{reasons}"
-        )
-    sidecars = _publish(stage, shard, root, inputs, made_from)
+    try:
+        for n_done, outcome in enumerate(run_units(stage.run, [(unit,) for unit in units], n_workers), 1):
+            unit = units[outcome.index]
+            scene_id = unit.layout.scene_id
+            core_ms += outcome.core_ms
+            peak_gib = max(peak_gib, outcome.peak_gib)
+            n_left[scene_id] -= 1
+            if outcome.error is None:
+                results[scene_id].append(outcome.value)
+            else:
+                grasp = "" if unit.grasp_id is None else f"-g{unit.grasp_id:02d}"
+                failures.setdefault(scene_id, f"{scene_id}{grasp}: {outcome.error}")
+            if n_left[scene_id] == 0 and scene_id not in failures:
+                parts.add(scene_id, results.pop(scene_id))
+            on_progress(Progress(stage.name, shard, n_done, len(units)))
+        if failures:
+            reasons = "\n".join(failures[scene_id] for scene_id in sorted(failures))
+            raise StageError(
+                f"{shard}.{stage.name}: {len(failures)} of {len(inputs.layouts)} scenes failed, must be 0; the others are kept:\n{reasons}"
+            )
+        sidecars = _publish(stage, shard, root, inputs, parts, made_from)
+    finally:
+        # Whatever ended the stage early, an interrupt too: finished scenes are not made again.
+        parts.flush()
     return StageReport(sidecars, False, len(units), time.perf_counter() - start, core_ms / 1e3, peak_gib)
 
 
@@ -164,31 +167,13 @@ def _published(stage: Stage, shard: str, root: DataRoot, made_from: Mapping[str,
     return sidecars
 
 
-def _has_part(stage: Stage, shard: str, root: DataRoot, scene_id: str, made_from: Mapping[str, str]) -> bool:
-    paths = [root.scene_part(shard, stage.name, scene_id, schema.name) for schema in (*stage.outputs, TIMINGS)]
-    return all(sidecar_path(path).exists() and read_sidecar(path).made_from == made_from for path in paths)
-
-
-def _write_part(
-    stage: Stage, shard: str, root: DataRoot, scene_id: str, results: Sequence[UnitResult], made_from: Mapping[str, str]
-) -> None:
-    rows: dict[str, list[Row]] = {schema.name: [] for schema in stage.outputs}
-    for result in results:
-        for name, more in result.rows.items():
-            rows[name] += more
-    rows["timings"] = [row for result in results for row in result.timings]
-    for schema in (*stage.outputs, TIMINGS):
-        table = table_from_rows(schema, rows[schema.name])
-        write_table(schema, table, root.scene_part(shard, stage.name, scene_id, schema.name), made_from)
-
-
-def _publish(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs, made_from: Mapping[str, str]) -> dict[str, Sidecar]:
-    def joined(schema: TableSchema) -> pa.Table:
-        return read_tables(schema, [root.scene_part(shard, stage.name, layout.scene_id, schema.name) for layout in inputs.layouts])
-
-    write_table(TIMINGS, joined(TIMINGS), root.timings(shard, stage.name), made_from)
-    sidecars = {s.name: write_table(s, joined(s), root.shard_table(shard, s.name), made_from) for s in stage.outputs}
-    shutil.rmtree(root.scene_part(shard, stage.name, "x", "x").parent.parent)
+def _publish(
+    stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs, parts: SceneParts, made_from: Mapping[str, str]
+) -> dict[str, Sidecar]:
+    scene_ids = [layout.scene_id for layout in inputs.layouts]
+    write_table(TIMINGS, parts.joined(TIMINGS, scene_ids), root.timings(shard, stage.name), made_from)
+    sidecars = {s.name: write_table(s, parts.joined(s, scene_ids), root.shard_table(shard, s.name), made_from) for s in stage.outputs}
+    parts.delete()
     return sidecars
 
 

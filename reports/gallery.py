@@ -10,10 +10,10 @@ import numpy as np
 import polars as pl
 import pyarrow as pa
 import trimesh
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from objects.gripper import gripper_boxes
+from objects.gripper import gripper_boxes, open_jaw_m
 from objects.kit import ObjectKit, TriangleMesh, kits_from_tables
 from pipelines.filmstrip import render_execution_frames
 from pipelines.physics.camera import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, render_scene, shrunk
@@ -26,6 +26,7 @@ from tables.identity import order_key, parse_candidate_id
 from tables.vocabulary import ExecStatus
 
 _TILE_PX = (400, 300)
+_OBJECT_PX = (300, 225)
 _FRAME_PX = (240, 180)
 _TITLE_PX = (960, 480)
 _GHOST_OPACITY = 0.5
@@ -55,7 +56,9 @@ def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe, *, tier: str,
     kits = kits_from_tables(*(tables[name] for name in ("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool")))
     scenes = scenes_from_tables(tables["scenes"], tables["obstacles"], tables["targets"])
     grasps = rows_by(tables["grasps"], "scene_id")
+    shown = [kits[name] for name in sorted({scene.object_id for scene in scenes.values()})]
     figures = {
+        "gallery-objects": _sheet([tile for kit in shown for tile in _object_tiles(kit)], 6),
         "gallery-title": _sheet([_title_tile(scenes, kits, grasps)], 1),
         "gallery-scenes": _sheet([_scene_tile(scenes[name], kits) for name in sorted(scenes)[:_N_SCENES]], 4),
         "gallery-grasps": _sheet([_grasp_tile(scene, kits, grasps[scene.scene_id]) for scene in _one_an_object(scenes)[:_N_SCENES]], 4),
@@ -64,6 +67,8 @@ def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe, *, tier: str,
         f"# Gallery of tier {tier}",
         "Everything is rendered from the release's tables; films run the stored plan again, as the label was made.",
         "![A scene, its targets and some of its grasps](gallery-title.png)",
+        "## Objects\n\nThe convex parts that planner and physics are given, and the whole grasp pool, a colour for each kind of grasp.",
+        "![Objects](gallery-objects.png)",
         "## Scenes\n\nObject blue, obstacles brown, the eight targets as green ghosts.",
         "![Scenes](gallery-scenes.png)",
         f"## Lifted grasps\n\nUp to {_N_GRASPS_DRAWN} of the grasps that passed the pick-lift check, at the object's initial pose.",
@@ -73,6 +78,41 @@ def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe, *, tier: str,
         figures[f"gallery-{status}"] = _sheet(strips, _N_FRAMES)
         blocks += [f"## Executions that ended as {status.replace('_', ' ')}", f"![{status}](gallery-{status}.png)"]
     return Report("gallery", "\n\n".join(blocks) + "\n", figures)
+
+
+def _object_tiles(kit: ObjectKit) -> list[_Tile]:
+    """An object in its own frame: its convex parts, and its pool."""
+    size_m = float(np.ptp(kit.mesh.vertices_m, axis=0).max())
+    grippers: dict[str, list[TriangleMesh]] = {}
+    for grasp in kit.grasps:
+        grippers.setdefault(grasp.grasp_kind, []).append(_placed(_gripper_glyph(open_jaw_m(grasp.jaw_width_m)), grasp.T_object_grasp))
+    parts = [(part, _GRASP_RGBS[k % len(_GRASP_RGBS)]) for k, part in enumerate(kit.parts)]
+    pool = [(_joined(grippers[kind]), _GRASP_RGBS[k % len(_GRASP_RGBS)]) for k, kind in enumerate(sorted(grippers))]
+    kinds = ", ".join(f"{len(grippers[kind])} {kind}" for kind in sorted(grippers))
+    return [
+        _Tile(_close_up(parts, 0.55 * size_m + 0.02), f"{kit.object_id}: {len(kit.parts)} convex parts"),
+        _Tile(_close_up([(kit.mesh, OBJECT_RGB), *pool], 0.55 * size_m + 0.09), kinds),
+    ]
+
+
+def _close_up(meshes: Sequence[tuple[TriangleMesh, tuple[float, float, float]]], radius_m: float) -> UInt8[np.ndarray, "h w 3"]:
+    """Meshes about the origin, from above and the front."""
+    eye = tuple(3.0 * radius_m * np.array([0.62, 0.55, 0.56]))
+    view = View((eye[0], eye[1], eye[2]), (0.0, 0.0, 0.0), 40.0, 2 * _OBJECT_PX[0], 2 * _OBJECT_PX[1])
+    with Renderer() as renderer:
+        for mesh, rgb in meshes:
+            renderer.add_mesh(mesh, np.eye(4), rgb)
+        return shrunk(renderer.photograph(view).rgb)
+
+
+def _placed(mesh: TriangleMesh, T: Float[np.ndarray, "4 4"]) -> TriangleMesh:
+    return TriangleMesh(mesh.vertices_m @ T[:3, :3].T + T[:3, 3], mesh.faces)
+
+
+def _joined(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
+    firsts = np.cumsum([0, *(len(mesh.vertices_m) for mesh in meshes[:-1])])
+    faces = [mesh.faces + first for mesh, first in zip(meshes, firsts, strict=True)]
+    return TriangleMesh(np.concatenate([mesh.vertices_m for mesh in meshes]), np.concatenate(faces))
 
 
 def _one_an_object(scenes: Mapping[str, Scene]) -> list[Scene]:
