@@ -20,7 +20,7 @@ import polars as pl
 import psutil
 from dagster import DagsterInstance, materialize
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from assets_def.resources import REPOSITORY, Benchmark
 from assets_def.stages import stage_assets
@@ -62,9 +62,12 @@ def bench(folder: Path) -> dict[str, object]:
         "two": _build(two, TIMED_SHARD, 2),
         "other": _build(two, OTHER_SHARD, 2),
     }
-    frame = _frame(DataRoot(two), (TIMED_SHARD, OTHER_SHARD))
-    result = _figures(frame, runs) | _floors(DataRoot(two))
-    _print(frame, result)
+    shards = (TIMED_SHARD, OTHER_SHARD)
+    frame = _frame(DataRoot(two), shards)
+    floors = _floors(DataRoot(two))
+    floor_ms = _floor_ms(DataRoot(two), shards, floors)
+    result = _figures(frame, runs) | floors | {"floor_ms": {" ".join(key): value for key, value in floor_ms.items()}}
+    _print(frame, floor_ms, result)
     return result
 
 
@@ -89,7 +92,7 @@ def _build(path: Path, shard: str, n_workers: int) -> ShardRun:
 def _frame(root: DataRoot, shards: Sequence[str]) -> pl.DataFrame:
     """One row a timed item: stage, category, core_ms."""
     timings = frame_of(read_timings(root, shards, STAGES))
-    scenes = pl.concat([frame_of(read_table(ALL_SCHEMAS["scenes"], root.shard_table(s, "scenes"))) for s in shards])
+    scenes = _tables(root, shards, "scenes")
     scene = pl.col("item_id").str.slice(0, 9).alias("scene_id")
     return timings.with_columns(scene).join(scenes.select("scene_id", "category"), on="scene_id")
 
@@ -121,7 +124,7 @@ def _figures(frame: pl.DataFrame, runs: dict[str, ShardRun]) -> dict[str, object
     }
 
 
-def _floors(root: DataRoot) -> dict[str, object]:
+def _floors(root: DataRoot) -> dict[str, dict[str, float]]:
     """Floors of a can, a mug and a cuboid in their first scenes."""
     inputs = load_shard_inputs(root, TIMED_SHARD, Benchmark().recipe("full"))
     scenes = scenes_from_tables(*root.read_shard(TIMED_SHARD, [ALL_SCHEMAS[name] for name in ("scenes", "obstacles", "targets")]).values())
@@ -132,8 +135,28 @@ def _floors(root: DataRoot) -> dict[str, object]:
     }
 
 
-def _print(frame: pl.DataFrame, result: dict[str, object]) -> None:
-    table = Table("stage", "category", "items", "mean", "median", "p95", title="core-milliseconds an item")
+def _floor_ms(root: DataRoot, shards: Sequence[str], floors: dict[str, dict[str, float]]) -> dict[tuple[str, str], float]:
+    """Floors of planning and execution by category: the steps or checks that an item took, each at its bare cost."""
+    scenes = _tables(root, shards, "scenes").select("scene_id", "category")
+    out = {}
+    for name, counted, floor in (
+        ("planning_labels", "n_checks", "floor_collision_check_us"),
+        ("execution_labels", "n_physics_steps", "floor_bare_step_us"),
+    ):
+        items = _tables(root, shards, name).with_columns(scene_id=pl.col("candidate_id").str.slice(0, 9)).join(scenes, on="scene_id")
+        for category, n in items.group_by("category").agg(pl.col(counted).mean()).iter_rows():
+            out[name, category] = n * floors[floor][category] / 1e3
+    return out
+
+
+def _tables(root: DataRoot, shards: Sequence[str], name: str) -> pl.DataFrame:
+    return pl.concat([frame_of(read_table(ALL_SCHEMAS[name], root.shard_table(shard, name))) for shard in shards])
+
+
+def _print(frame: pl.DataFrame, floor_ms: dict[tuple[str, str], float], result: dict[str, object]) -> None:
+    table = Table(
+        Column("stage", no_wrap=True), "category", "items", "mean", "median", "p95", "floor", "paper", title="core-milliseconds an item"
+    )
     groups = frame.group_by("stage", "category").agg(
         pl.len(),
         pl.col("core_ms").mean().alias("mean"),
@@ -141,7 +164,9 @@ def _print(frame: pl.DataFrame, result: dict[str, object]) -> None:
         pl.col("core_ms").quantile(0.95).alias("p95"),
     )
     for stage, category, n, mean, median, p95 in groups.sort("stage", "category").iter_rows():
-        table.add_row(stage, category, str(n), f"{mean:.2f}", f"{median:.2f}", f"{p95:.2f}")
+        floor = f"{floor_ms[stage, category]:.2f}" if (stage, category) in floor_ms else "–"
+        paper = f"{PAPER_PLANNING_MS:.0f}" if stage == "planning_labels" else "–"
+        table.add_row(stage, category, str(n), f"{mean:.2f}", f"{median:.2f}", f"{p95:.2f}", floor, paper)
     CONSOLE.print(table)
     for name, value in result.items():
         CONSOLE.print(f"{name:32s} {value:.3f}" if isinstance(value, float) else f"{name:32s} {value}", markup=False)
