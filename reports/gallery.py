@@ -85,12 +85,12 @@ def _object_tiles(kit: ObjectKit) -> list[_Tile]:
     size_m = float(np.ptp(kit.mesh.vertices_m, axis=0).max())
     grippers: dict[str, list[TriangleMesh]] = {}
     for grasp in kit.grasps:
-        grippers.setdefault(grasp.grasp_kind, []).append(_placed(_gripper_glyph(open_jaw_m(grasp.jaw_width_m)), grasp.T_object_grasp))
+        grippers.setdefault(grasp.grasp_kind, []).append(_placed(_gripper_glyph(open_jaw_m(grasp.jaw_width_m), 0.08), grasp.T_object_grasp))
     parts = [(part, _GRASP_RGBS[k % len(_GRASP_RGBS)]) for k, part in enumerate(kit.parts)]
     pool = [(_joined(grippers[kind]), _GRASP_RGBS[k % len(_GRASP_RGBS)]) for k, kind in enumerate(sorted(grippers))]
     kinds = ", ".join(f"{len(grippers[kind])} {kind}" for kind in sorted(grippers))
     return [
-        _Tile(_close_up(parts, 0.55 * size_m + 0.02), f"{kit.object_id}: {len(kit.parts)} convex parts"),
+        _Tile(_close_up(parts, 0.55 * size_m + 0.02), f"{kit.object_id}, convex parts: {len(kit.parts)}"),
         _Tile(_close_up([(kit.mesh, OBJECT_RGB), *pool], 0.55 * size_m + 0.09), kinds),
     ]
 
@@ -163,12 +163,12 @@ def _picture_of_grasps(scene: Scene, kit: ObjectKit, rows: Sequence[Row], view: 
     return shrunk(picture)
 
 
-def _gripper_glyph(jaw_m: float) -> TriangleMesh:
-    """A slender gripper: finger boxes and a bar for the hand, a quarter as thick as the real ones so that several can be told apart."""
+def _gripper_glyph(jaw_m: float, thickness: float = 0.25) -> TriangleMesh:
+    """A slender gripper: finger boxes and a bar for the hand, a share as thick as the real ones so that several can be told apart."""
     T_tcp_box, size_m = gripper_boxes(jaw_m)
     parts = []
     for k, (T, size) in enumerate(zip(T_tcp_box, size_m, strict=True)):
-        extents = size * ((0.25, jaw_m / size[1] + 0.2, 0.06) if k == 0 else (0.25, 0.25, 1.0))
+        extents = size * ((thickness, jaw_m / size[1] + 0.2, 0.24 * thickness) if k == 0 else (thickness, thickness, 1.0))
         placed = T.copy()
         if k == 0:
             placed[2, 3] += size[2] / 2 - extents[2] / 2
