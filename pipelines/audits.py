@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -112,11 +113,12 @@ def audit_rows(items: Sequence[AuditItem], n_workers: int, params: AuditParams |
     for _, group in groupby(ordered, key=lambda item: (item.scene.scene_id, item.audit)):
         alike = list(group)
         units += [(alike[k : k + _ITEMS_A_UNIT], params or AuditParams()) for k in range(0, len(alike), _ITEMS_A_UNIT)]
-    for outcome in run_units(audit_unit, units, n_workers):
-        if outcome.error is not None:
-            names = [item.candidate_id for item in units[outcome.index][0]]
-            raise AuditError(f"{names[0]} to {names[-1]}: {outcome.error}")
-        yield from outcome.value
+    with closing(run_units(audit_unit, units, n_workers)) as outcomes:
+        for outcome in outcomes:
+            if outcome.error is not None:
+                names = [item.candidate_id for item in units[outcome.index][0]]
+                raise AuditError(f"{names[0]} to {names[-1]}: {outcome.error}")
+            yield from outcome.value
 
 
 def audit_unit(items: Sequence[AuditItem], params: AuditParams) -> list[Row]:

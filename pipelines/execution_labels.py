@@ -39,7 +39,7 @@ class ExecutionParams:
     slipped_rad: float = 0.2617993877991494
     # A 0.35 kg can stopped from 0.6 m/s. Touching in passing is less.
     collision_impulse_n_s: float = 0.2
-    dragged_m: float = 0.01  # half the position tolerance
+    dragged_m: float = 0.01  # half the position tolerance: what the retreat may move
     toppled_rad: float = 0.2617993877991494  # 15 degrees of tilt: beyond tolerance, and no face of a box is that close to another
 
     def __post_init__(self) -> None:

@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Callable
+from contextlib import closing
 from typing import Any
 
 from objects.build import ObjectParams, ObjectTables, build_object
@@ -44,12 +45,13 @@ def make_object_tables(root: DataRoot, recipe: Recipe, n_workers: int, log: Call
             return sidecars
     built: dict[int, ObjectTables] = {}
     failures = []
-    for outcome in run_units(_build, [(spec, recipe.objects, recipe.seed) for spec in specs], n_workers):
-        if outcome.error is None:
-            built[outcome.index] = outcome.value
-            log(f"objects: {specs[outcome.index].object_id} in {outcome.core_ms / 1e3:.1f} s ({len(built)} of {len(specs)})")
-        else:
-            failures.append(f"{specs[outcome.index].object_id}: {outcome.error}")
+    with closing(run_units(_build, [(spec, recipe.objects, recipe.seed) for spec in specs], n_workers)) as outcomes:
+        for outcome in outcomes:
+            if outcome.error is None:
+                built[outcome.index] = outcome.value
+                log(f"objects: {specs[outcome.index].object_id} in {outcome.core_ms / 1e3:.1f} s ({len(built)} of {len(specs)})")
+            else:
+                failures.append(f"{specs[outcome.index].object_id}: {outcome.error}")
     if failures:
         raise ObjectTablesError(f"{len(failures)} of {len(specs)} objects failed, must be 0:\n" + "\n".join(sorted(failures)))
     return {

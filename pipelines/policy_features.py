@@ -14,7 +14,7 @@ from tables.identity import candidate_id_of
 
 
 def policy_feature_rows(
-    kit: ObjectKit, scene: Scene, grasp_ids: Sequence[int], target_ids: Sequence[int], n_q7: int = 128
+    kit: ObjectKit, scene: Scene, grasp_ids: Sequence[int], target_ids: Sequence[int], n_q7: int
 ) -> tuple[list[Row], list[Row]]:
     """Rows of `policy_features`, and of `timings` for both tests of every candidate.
 

@@ -6,6 +6,7 @@ What the mismatches mean, and which tasks are repeated blindly, is reports.repea
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
 import pyarrow as pa
@@ -15,7 +16,7 @@ from pipelines.execution_labels import execute_perturbed
 from pipelines.planning_labels import planning_rows
 from pipelines.recipe import Recipe
 from pipelines.scene import LiftedGrasp, Row, Scene, plan_in
-from pipelines.workers import UNITS_PER_WORKER_LIFE, run_units
+from pipelines.workers import run_units
 from tables.columns import TableSchema
 from tables.identity import candidate_id_of, order_key
 from tables.schemas import EXECUTION_LABELS, PLANNING_LABELS
@@ -70,11 +71,12 @@ def attempt_rows(repeats: Sequence[Repeat], n_workers: int) -> Iterator[Row]:
     """
     fresh = [repeat for repeat in repeats if repeat.perturbation is Perturbation.FRESH]
     perturbed = [repeat for repeat in repeats if repeat.perturbation is not Perturbation.FRESH]
-    for some, units_per_life in ((fresh, 1), (perturbed, UNITS_PER_WORKER_LIFE)):
-        for outcome in run_units(attempt_row, [(repeat,) for repeat in some], max(1, n_workers), units_per_life):
-            if outcome.error is not None:
-                raise RepeatError(f"{some[outcome.index].stored['candidate_id']}: {outcome.error}")
-            yield outcome.value
+    for some, units_per_life in ((fresh, 1), (perturbed, None)):
+        with closing(run_units(attempt_row, [(repeat,) for repeat in some], max(1, n_workers), units_per_life)) as outcomes:
+            for outcome in outcomes:
+                if outcome.error is not None:
+                    raise RepeatError(f"{some[outcome.index].stored['candidate_id']}: {outcome.error}")
+                yield outcome.value
 
 
 def attempt_row(repeat: Repeat) -> Row:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import shutil
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import pyarrow as pa
 
 from pipelines.data_root import DataRoot
 from pipelines.scene import Row
-from pipelines.stages import Stage, UnitResult
+from pipelines.stages import Stage, Unit, UnitResult
+from pipelines.workers import Outcome
 from tables.columns import TableSchema
 from tables.schemas import TIMINGS
 from tables.store import join_tables, read_sidecar, read_table, sidecar_path, table_from_rows, write_table
@@ -41,7 +43,10 @@ class SceneParts:
                 rows[name] += more
             rows["timings"] += result.timings
         self._in_memory[scene_id] = {schema.name: table_from_rows(schema, rows[schema.name]) for schema in self._schemas}
-        if time.monotonic() - self._flushed_s > SECONDS_IN_MEMORY:
+
+    def flush_if_due(self) -> None:
+        """Write what is in memory only, where the last time is long enough ago."""
+        if self._in_memory and time.monotonic() - self._flushed_s > SECONDS_IN_MEMORY:
             self.flush()
 
     def flush(self) -> None:
@@ -68,3 +73,32 @@ class SceneParts:
         if scene_id in self._in_memory:
             return self._in_memory[scene_id][schema.name]
         return read_table(schema, self._root.scene_part(self._shard, self._stage.name, scene_id, schema.name))
+
+
+class Ledger:
+    """The units of a stage that are still to come, by scene, and what the others gave: a part, or the scene's failure."""
+
+    def __init__(self, units: Sequence[Unit], scene_ids: Sequence[str], parts: SceneParts) -> None:
+        self.failures: dict[str, str] = {}
+        self.core_ms = self.peak_gib = 0.0
+        self._parts = parts
+        self._n_left = Counter(unit.layout.scene_id for unit in units)
+        self._results: dict[str, list[UnitResult]] = {scene_id: [] for scene_id in scene_ids}
+        for scene_id in scene_ids:
+            if self._n_left[scene_id] == 0:
+                parts.add(scene_id, [])
+
+    def enter(self, unit: Unit, outcome: Outcome) -> None:
+        """A unit's outcome; the scene's last one makes it a part."""
+        scene_id = unit.layout.scene_id
+        self.core_ms += outcome.core_ms
+        self.peak_gib = max(self.peak_gib, outcome.peak_gib)
+        self._n_left[scene_id] -= 1
+        if outcome.error is None:
+            self._results[scene_id].append(outcome.value)
+        else:
+            grasp = "" if unit.grasp_id is None else f"-g{unit.grasp_id:02d}"
+            self.failures.setdefault(scene_id, f"{scene_id}{grasp}: {outcome.error}")
+        if self._n_left[scene_id] == 0 and scene_id not in self.failures:
+            self._parts.add(scene_id, self._results.pop(scene_id))
+        self._parts.flush_if_due()

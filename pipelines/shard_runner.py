@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
 import pyarrow as pa
@@ -13,8 +14,8 @@ from objects.kit import ObjectKit, kits_from_tables
 from pipelines.data_root import OBJECT_TABLES, DataRoot
 from pipelines.layout import SceneLayout, scene_layout
 from pipelines.recipe import Recipe
-from pipelines.scene_parts import SceneParts
-from pipelines.stages import Stage, UnitResult, rows_by_scene, units_of
+from pipelines.scene_parts import Ledger, SceneParts
+from pipelines.stages import Stage, rows_by_scene, units_of
 from pipelines.workers import run_units
 from tables.identity import scenes_of_shard
 from tables.schemas import SCHEMA_VERSION, TIMINGS
@@ -94,49 +95,36 @@ def run_stage(
     start = time.perf_counter()
     made_from = _made_from(stage, shard, root, inputs)
     published = _published(stage, shard, root, made_from)
+    parts = SceneParts(stage, shard, root, made_from)
     if published is not None:
+        parts.delete()
         return StageReport(published, is_reused=True)
     upstream = rows_by_scene(root.read_shard(shard, stage.inputs), [layout.scene_id for layout in inputs.layouts])
-    parts = SceneParts(stage, shard, root, made_from)
     missing = [layout for layout in inputs.layouts if not parts.is_on_disk(layout.scene_id)]
     units = [
         unit
         for layout in missing
         for unit in units_of(stage, inputs.recipe, inputs.kits[layout.object_id], layout, upstream[layout.scene_id])
     ]
-    n_left = {layout.scene_id: 0 for layout in missing}
-    for unit in units:
-        n_left[unit.layout.scene_id] += 1
-    results: dict[str, list[UnitResult]] = {scene_id: [] for scene_id in n_left}
-    for scene_id in [scene_id for scene_id, n in n_left.items() if n == 0]:
-        parts.add(scene_id, [])
-    failures: dict[str, str] = {}
-    core_ms = peak_gib = 0.0
+    ledger = Ledger(units, [layout.scene_id for layout in missing], parts)
     try:
-        for n_done, outcome in enumerate(run_units(stage.run, [(unit,) for unit in units], n_workers), 1):
-            unit = units[outcome.index]
-            scene_id = unit.layout.scene_id
-            core_ms += outcome.core_ms
-            peak_gib = max(peak_gib, outcome.peak_gib)
-            n_left[scene_id] -= 1
-            if outcome.error is None:
-                results[scene_id].append(outcome.value)
-            else:
-                grasp = "" if unit.grasp_id is None else f"-g{unit.grasp_id:02d}"
-                failures.setdefault(scene_id, f"{scene_id}{grasp}: {outcome.error}")
-            if n_left[scene_id] == 0 and scene_id not in failures:
-                parts.add(scene_id, results.pop(scene_id))
-            on_progress(Progress(stage.name, shard, n_done, len(units)))
-        if failures:
-            reasons = "\n".join(failures[scene_id] for scene_id in sorted(failures))
-            raise StageError(
-                f"{shard}.{stage.name}: {len(failures)} of {len(inputs.layouts)} scenes failed, must be 0; the others are kept:\n{reasons}"
-            )
+        with closing(run_units(stage.run, [(unit,) for unit in units], n_workers)) as outcomes:
+            for n_done, outcome in enumerate(outcomes, 1):
+                ledger.enter(units[outcome.index], outcome)
+                on_progress(Progress(stage.name, shard, n_done, len(units)))
+        if ledger.failures:
+            reasons = "\n".join(ledger.failures[scene_id] for scene_id in sorted(ledger.failures))
+            n_failed, n_scenes = len(ledger.failures), len(inputs.layouts)
+            raise StageError(f"{shard}.{stage.name}: {n_failed} of {n_scenes} scenes failed, must be 0; the others are kept:\n{reasons}")
         sidecars = _publish(stage, shard, root, inputs, parts, made_from)
-    finally:
+    except BaseException as why:
         # Whatever ended the stage early, an interrupt too: finished scenes are not made again.
-        parts.flush()
-    return StageReport(sidecars, False, len(units), time.perf_counter() - start, core_ms / 1e3, peak_gib)
+        try:
+            parts.flush()
+        except OSError as failure:
+            why.add_note(f"and finished scenes of {shard}.{stage.name} could not be kept: {failure}")
+        raise
+    return StageReport(sidecars, False, len(units), time.perf_counter() - start, ledger.core_ms / 1e3, ledger.peak_gib)
 
 
 def is_published(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs) -> bool:

@@ -100,7 +100,9 @@ def _pair(unit: Unit) -> UnitResult:
 def _judge_cheaply(unit: Unit) -> UnitResult:
     scene = _scene(unit)
     grasp_ids = [grasp.grasp_id for grasp in lifted_grasps(unit.rows["pick_lift"])]
-    rows, timings = policy_feature_rows(unit.kit, scene, grasp_ids, [target.target_id for target in scene.targets])
+    rows, timings = policy_feature_rows(
+        unit.kit, scene, grasp_ids, [target.target_id for target in scene.targets], unit.recipe.planning.n_q7
+    )
     return UnitResult({"policy_features": rows}, timings)
 
 
@@ -127,6 +129,8 @@ def _execute(unit: Unit) -> UnitResult:
         rows.append(row)
         timings.append(_timing("execution_labels", row["candidate_id"], start))
         start = time.process_time_ns()
+    if timings:  # the engine's end
+        timings[-1]["core_ms"] += (time.process_time_ns() - start) / 1e6
     return UnitResult({"execution_labels": rows}, timings)
 
 
@@ -146,7 +150,7 @@ STAGES = (
     Stage("grasp_admission", "1", _SCENE, (s.GRASP_ADMISSION,), ("grasp_admission",), _admit),
     Stage("pick_lift", "2", (*_SCENE, s.GRASP_ADMISSION), (s.PICK_LIFT,), ("pick_lift", "motion", "physics"), _lift, _admitted_ids),
     Stage("candidate_pairs", "1", (*_SCENE, s.PICK_LIFT), (s.CANDIDATE_PAIRS,), (), _pair),
-    Stage("policy_features", "2", (*_SCENE, s.PICK_LIFT), (s.POLICY_FEATURES,), (), _judge_cheaply),
+    Stage("policy_features", "2", (*_SCENE, s.PICK_LIFT), (s.POLICY_FEATURES,), ("planning",), _judge_cheaply),
     Stage(
         "planning_labels",
         "1",

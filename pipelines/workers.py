@@ -5,7 +5,6 @@ A worker that dies takes down its unit only. Nothing here decides a label: order
 
 from __future__ import annotations
 
-import atexit
 import multiprocessing
 import multiprocessing.context
 import os
@@ -14,11 +13,11 @@ import sys
 import time
 import traceback
 import types
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from multiprocessing.util import Finalize
 from typing import Any
 
 from pebble import ProcessExpired, ProcessPool
@@ -27,11 +26,13 @@ from pebble import ProcessExpired, ProcessPool
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 # Restarted after so many units, so that what an engine leaks stays bounded.
 UNITS_PER_WORKER_LIFE = 2000
+# The pool that waits for the next call.
+_KEPT: dict[int, ProcessPool] = {}
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one unit: a value, or the reason why there is none; CPU time spent, peak memory of the process that ran it."""
+    """What became of one unit: a value, or the reason why there is none; CPU time spent, peak memory of its process so far."""
 
     index: int
     value: Any
@@ -41,15 +42,16 @@ class Outcome:
 
 
 def run_units(
-    function: Callable[..., Any], units: Sequence[tuple[Any, ...]], n_workers: int, units_per_life: int = UNITS_PER_WORKER_LIFE
-) -> Iterator[Outcome]:
-    """Outcomes of `function(*unit)` for every unit, as they finish.
+    function: Callable[..., Any], units: Sequence[tuple[Any, ...]], n_workers: int, units_per_life: int | None = None
+) -> Generator[Outcome, None, None]:
+    """Outcomes of `function(*unit)` for every unit, as they finish; close it (`contextlib.closing`) to stop early.
 
     Args:
         function: a module-level function, pure in its arguments.
         units: arguments, picklable.
         n_workers: processes; 0 runs the units in this process.
-        units_per_life: units a worker runs before a new process takes its place; 1 gives every unit a fresh process.
+        units_per_life: units a worker runs before a new process takes its place; 1 gives every unit a fresh process. None keeps the
+            workers for the next call.
 
     Yields:
         One outcome a unit; an exception or a dead worker is an outcome with `error` set.
@@ -88,27 +90,31 @@ class _Context(multiprocessing.context.ForkServerContext):
 
 
 @contextmanager
-def _pool(n_workers: int, units_per_life: int) -> Iterator[ProcessPool]:
-    """Workers of the usual life are kept for the next call: a shard has eight stages, and starting workers costs a second or two."""
-    is_kept = units_per_life == UNITS_PER_WORKER_LIFE
-    pool = _kept_pool(n_workers) if is_kept else _new_pool(n_workers, units_per_life)
+def _pool(n_workers: int, units_per_life: int | None) -> Iterator[ProcessPool]:
+    pool = _kept_pool(n_workers) if units_per_life is None else _new_pool(n_workers, units_per_life)
     try:
         yield pool
     except BaseException:
-        # An interrupt ends the units in work instead of waiting for them.
-        _kept_pool.cache_clear()
+        # An interrupt, or a caller that wants no more, ends the units in work instead of waiting for them.
+        if _KEPT.get(n_workers) is pool:
+            del _KEPT[n_workers]
         _end(pool)
         raise
-    if not is_kept:
+    if units_per_life is not None:
         pool.close()
         pool.join()
 
 
-@cache
 def _kept_pool(n_workers: int) -> ProcessPool:
-    pool = _new_pool(n_workers, UNITS_PER_WORKER_LIFE)
-    atexit.register(_end, pool)
-    return pool
+    """The pool of the last call, where it has as many workers and is alive: a shard has eight stages, and a start costs a second or two."""
+    for n, pool in list(_KEPT.items()):
+        if n != n_workers or not pool.active:
+            _end(_KEPT.pop(n))
+    if n_workers not in _KEPT:
+        _KEPT[n_workers] = _new_pool(n_workers, UNITS_PER_WORKER_LIFE)
+        # Not atexit: a process that multiprocessing started waits for its children before it gets there.
+        Finalize(None, _end, args=(_KEPT[n_workers],), exitpriority=100)
+    return _KEPT[n_workers]
 
 
 def _new_pool(n_workers: int, units_per_life: int) -> ProcessPool:

@@ -27,7 +27,9 @@ class PhysicsParams:
     max_finger_force_n: float = 60.0
     gear_erp: float = 0.1  # couples the fingers as the hand's belt does
     gear_force_n: float = 50.0
-    pad_refresh_rad: float = 0.1  # turn of the hand after which the pads' contacts are found anew; until then their normals are that wrong
+    # Turn of the hand after which the pads' contacts are found anew, looked at in every check: their normals are wrong by this and what the
+    # hand turns from one check to the next, 0.09 rad at most by one joint.
+    pad_refresh_rad: float = 0.1
     finger_friction: float = 0.8  # rubber pads; the engine multiplies with the object's
     table_friction: float = 0.6  # table and obstacles
     spinning_friction: float = 0.004  # on fingers and table: a pad is a patch, not a point

@@ -162,6 +162,7 @@ class PhysicsWorld:
             pybullet.resetJointState(self._robot.body, joint, float(value), 0.0, physicsClientId=self._client)
         self.command_arm(q.tolist(), [0.0] * 7)
         self.command_fingers(0.0)
+        self._pads_since = None
 
     def command_arm(self, q: Sequence[float], qd: Sequence[float]) -> None:
         """Position targets with velocity feed-forward; they hold until the next command."""

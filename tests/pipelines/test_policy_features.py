@@ -26,11 +26,11 @@ def test_nothing_measured_after_planning_can_enter() -> None:
 def test_features_and_timings_fit_their_tables_and_repeat() -> None:
     kit = can_kit()
     scene = panda_scene(kit, [(0.45, 0.25)])
-    features, timings = policy_feature_rows(kit, scene, range(0, 40, 3), range(8))
+    features, timings = policy_feature_rows(kit, scene, range(0, 40, 3), range(8), 128)
     assert table_from_rows(POLICY_FEATURES, features).num_rows == 14 * 8
     assert table_from_rows(TIMINGS, timings).num_rows == 2 * 14 * 8
     assert {row["stage"] for row in timings} == {"policy_ik", "policy_gripper"}
-    again, _ = policy_feature_rows(kit, scene, range(39, -1, -3), range(7, -1, -1))
+    again, _ = policy_feature_rows(kit, scene, range(39, -1, -3), range(7, -1, -1), 128)
     assert sorted(again, key=lambda row: row["candidate_id"]) == sorted(features, key=lambda row: row["candidate_id"])
 
 
@@ -41,14 +41,14 @@ def test_reach_ignores_collisions_and_the_hand_ignores_reach() -> None:
     buried = dataclasses.replace(scene, targets=(Target(0, 0, pose(0.5, 0.0, -0.3)),))
     blocked = dataclasses.replace(panda_scene(kit, [(0.5, 0.0)]), targets=(Target(0, 0, pose(0.5, 0.0, 0.06)),))
     grasp_ids = range(len(kit.grasps))
-    far, _ = policy_feature_rows(kit, out_of_reach, grasp_ids, [0])
+    far, _ = policy_feature_rows(kit, out_of_reach, grasp_ids, [0], 128)
     assert not any(row["ik_feasible"] for row in far)
     assert any(row["gripper_free"] for row in far)
-    below, _ = policy_feature_rows(kit, buried, grasp_ids, [0])
+    below, _ = policy_feature_rows(kit, buried, grasp_ids, [0], 128)
     assert any(row["ik_feasible"] for row in below)
     assert not any(row["gripper_free"] for row in below)
-    inside, _ = policy_feature_rows(kit, blocked, grasp_ids, [0])
-    without, _ = policy_feature_rows(kit, dataclasses.replace(blocked, obstacles=()), grasp_ids, [0])
+    inside, _ = policy_feature_rows(kit, blocked, grasp_ids, [0], 128)
+    without, _ = policy_feature_rows(kit, dataclasses.replace(blocked, obstacles=()), grasp_ids, [0], 128)
     assert [row["ik_feasible"] for row in inside] == [row["ik_feasible"] for row in without]
     assert not any(row["gripper_free"] for row in inside)
     assert any(row["gripper_free"] for row in without)
@@ -59,7 +59,7 @@ def test_the_hand_over_a_table_is_free_where_its_lowest_corner_is(kit: object) -
     """Reference: corners of the gripper's boxes. The hand's hull is inside its box by up to 2 mm, so closer calls are left out."""
     lying = pose(0.45, 0.1, 0.033) @ np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     scene = dataclasses.replace(panda_scene(kit), targets=(Target(0, 0, lying), Target(1, 0, pose(0.45, 0.1, 0.06))))
-    features, _ = policy_feature_rows(kit, scene, [g.grasp_id for g in kit.grasps], [0, 1])
+    features, _ = policy_feature_rows(kit, scene, [g.grasp_id for g in kit.grasps], [0, 1], 128)
     free = {row["candidate_id"]: row["gripper_free"] for row in features}
     verdicts = []
     for target in scene.targets:
@@ -76,7 +76,7 @@ def test_the_hand_over_a_table_is_free_where_its_lowest_corner_is(kit: object) -
 def test_reach_is_that_of_the_pool_grasp_at_the_target() -> None:
     kit = box_kit()
     scene = panda_scene(kit)
-    features, _ = policy_feature_rows(kit, scene, [g.grasp_id for g in kit.grasps], range(8))
+    features, _ = policy_feature_rows(kit, scene, [g.grasp_id for g in kit.grasps], range(8), 128)
     expected = [len(ik(t.T_base_target @ g.T_object_grasp, 128)) > 0 for t in scene.targets for g in kit.grasps]
     assert [row["ik_feasible"] for row in features] == expected
     assert 0.0 < np.mean(expected) < 1.0

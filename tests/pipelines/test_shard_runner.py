@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from objects.kit import ObjectKit
-from pipelines import shard_runner
+from pipelines import scene_parts, shard_runner
 from pipelines.data_root import DataRoot
 from pipelines.layout import SceneLayout
 from pipelines.recipe import Recipe
-from pipelines.shard_runner import ShardInputs, StageError, is_published, run_stage
+from pipelines.shard_runner import Progress, ShardInputs, StageError, is_published, run_stage
 from pipelines.stages import Stage, Unit, UnitResult
 from tables.identity import rng_for, scenes_of_shard
 from tables.schemas import SPLITS, TIMINGS
@@ -103,6 +103,44 @@ def test_a_crash_fails_its_scene_with_its_id_and_keeps_the_others(
     whole = run_stage(_stage(), SHARD, DataRoot(tmp_path / "whole"), inputs, 0)
     assert resumed.sidecars["splits"].content_hash == whole.sidecars["splits"].content_hash
     assert not (tmp_path / "shards" / SHARD / ".unfinished" / "draw").exists()
+
+
+@pytest.mark.parametrize("seconds", [0.0, 1e9])
+def test_finished_scenes_survive_an_interrupt_whenever_they_are_written(
+    seconds: float, tmp_path: Path, inputs: ShardInputs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scene_parts, "SECONDS_IN_MEMORY", seconds)
+    root, unfinished = DataRoot(tmp_path), tmp_path / "shards" / SHARD / ".unfinished" / "draw"
+
+    def interrupt(progress: Progress) -> None:
+        if progress.done == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_stage(_stage(), SHARD, root, inputs, 0, interrupt)
+    assert sorted(path.name for path in unfinished.iterdir()) == sorted(SCENES[:5])
+    done: list[int] = []
+    resumed = run_stage(_stage(), SHARD, root, inputs, 0, lambda p: done.append(p.total))
+    assert done == [len(SCENES) - 5] * (len(SCENES) - 5)
+    assert not unfinished.exists()
+    whole = run_stage(_stage(), SHARD, DataRoot(tmp_path / "whole"), inputs, 0)
+    assert resumed.sidecars["splits"].content_hash == whole.sidecars["splits"].content_hash
+
+
+def test_a_quick_stage_writes_no_parts(tmp_path: Path, inputs: ShardInputs, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[Path] = []
+    monkeypatch.setattr(scene_parts, "write_table", lambda schema, table, path, made_from: written.append(path))
+    run_stage(_stage(), SHARD, DataRoot(tmp_path), inputs, 0)
+    assert not written
+
+
+def test_what_a_kill_after_publishing_left_is_removed(tmp_path: Path, inputs: ShardInputs) -> None:
+    root = DataRoot(tmp_path)
+    run_stage(_stage(), SHARD, root, inputs, 0)
+    left = root.scene_part(SHARD, "draw", SCENES[0], "splits")
+    left.parent.mkdir(parents=True)
+    assert run_stage(_stage(), SHARD, root, inputs, 0).is_reused
+    assert not left.parent.exists()
 
 
 def test_timings_are_kept_beside_the_tables(tmp_path: Path, inputs: ShardInputs) -> None:

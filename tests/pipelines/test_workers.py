@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
+import time
+from contextlib import closing
 
 import pytest
 
@@ -39,6 +42,45 @@ def _thread_limits() -> list[str | None]:
 def test_workers_are_single_threaded() -> None:
     (outcome,) = run_units(_thread_limits, [()], 1)
     assert outcome.value == ["1", "1"]
+
+
+def _pid(k: int) -> int:
+    time.sleep(0.05)
+    return os.getpid()
+
+
+def _pids(n: int) -> set[int]:
+    return {outcome.value for outcome in run_units(_pid, [(k,) for k in range(4 * n)], n)}
+
+
+def test_workers_are_kept_for_the_next_call() -> None:
+    assert _pids(2) == _pids(2)
+
+
+def test_a_worker_that_dies_between_two_calls_is_replaced() -> None:
+    (before,) = _pids(1)
+    os.kill(before, signal.SIGKILL)
+    time.sleep(0.5)
+    (after,) = _pids(1)
+    assert after != before
+
+
+def test_who_stops_listening_does_not_disturb_the_next_call() -> None:
+    with closing(run_units(_pid, [(k,) for k in range(40)], 2)) as outcomes:
+        next(outcomes)
+    assert len(_pids(2)) == 2
+
+
+def _run_some() -> None:
+    assert len(_pids(1)) == 1
+
+
+def test_a_process_that_ran_units_ends() -> None:
+    """Dagster starts the runs of its UI so; kept workers must not hold it back."""
+    child = multiprocessing.get_context("spawn").Process(target=_run_some)
+    child.start()
+    child.join(60)
+    assert child.exitcode == 0
 
 
 def test_a_negative_number_of_workers_is_refused() -> None:
