@@ -61,7 +61,7 @@ def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe, *, tier: str,
         "gallery-objects": _sheet([tile for kit in shown for tile in _object_tiles(kit)], 6),
         "gallery-title": _sheet([_title_tile(scenes, kits, grasps)], 1),
         "gallery-scenes": _sheet([_scene_tile(scenes[name], kits) for name in sorted(scenes)[:_N_SCENES]], 4),
-        "gallery-grasps": _sheet([_grasp_tile(scene, kits, grasps[scene.scene_id]) for scene in _one_an_object(scenes)[:_N_SCENES]], 4),
+        "gallery-grasps": _sheet([_grasp_tile(scene, kits, grasps[scene.scene_id]) for scene in _one_an_object(scenes)], 5),
     }
     blocks = [
         f"# Gallery of tier {tier}",

@@ -19,6 +19,8 @@ from splits.frames import frame_of
 from splits.markdown import count, percent, share, table
 from tables.vocabulary import AdmissionStatus, Category, ExecStatus, LiftStatus, PlanStatus, Split
 
+MIN_LIFTED_SHARE = 0.75  # of an object's admitted grasps; a pool that lifts less asks for a reason
+
 _UNLEARNED = tuple(policy for policy in POLICIES if not policy.is_learned)
 
 
@@ -122,7 +124,8 @@ def _outcomes(frame: pl.DataFrame, grasps: pl.DataFrame, tier: str) -> tuple[lis
         stem = f"profile-{column}"
         figures[stem] = status_figure(counts, names, good.value, f"{column} of {of}, {tier}")
         blocks.append(f"![{column} by category]({stem}.png)")
-    return [*blocks, "### By object", _objects_table(frame, grasps)], figures
+    hard = _hard_to_lift(admitted)
+    return [*blocks, "### By object", *([hard] if hard else []), _objects_table(frame, grasps)], figures
 
 
 def _status_counts(rows: pl.DataFrame, column: str) -> dict[str, dict[str, int]]:
@@ -165,6 +168,18 @@ def _objects_table(frame: pl.DataFrame, grasps: pl.DataFrame) -> str:
         )
     return table(
         ["object", "scenes", "admitted a scene", "lifted of admitted", "others", "candidates", "planned", "success of planned"], rows
+    )
+
+
+def _hard_to_lift(admitted: pl.DataFrame) -> str | None:
+    """Objects whose grasps do not lift as a roboticist would expect."""
+    lifted = (pl.col("lift_status") == LiftStatus.LIFTED.value).mean()
+    shares = admitted.group_by("object_id").agg(lifted.alias("lifted")).filter(pl.col("lifted") < MIN_LIFTED_SHARE).sort("object_id")
+    names = ", ".join(f"`{name}` ({percent(share_lifted)})" for name, share_lifted in shares.iter_rows())
+    return (
+        f"Below {percent(MIN_LIFTED_SHARE)} of admitted grasps lifted: {names}. The card in `objects/catalogue.toml` says why."
+        if names
+        else None
     )
 
 

@@ -32,6 +32,8 @@ _MARGIN_BINS = (0.0, 0.05, 0.1, 0.25, 0.5, 0.75, 1.0, float("inf"))
 # Largest motion in the hand before release, of the stored execution, in millimetres.
 _SLIP_BINS = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, float("inf"))
 
+_SLIPPING_M, _NEAR_MARGIN = 0.005, 0.25
+
 _STAGES = {
     "plan_status": "planning status",
     "exec_status": "execution status",
@@ -218,8 +220,8 @@ def _perturbed_section(perturbed: pl.DataFrame) -> tuple[list[str], dict[str, fl
         "Distance is |`tolerance_margin`| of the stored label; *none* are executions that ended without a final pose to judge.",
         _flips(bins, "distance"),
         "### Flips by slip in the hand, planned candidates",
-        "What slips lands further from its target or falls, so far-off failures flip with the slip: the distance from the tolerance says"
-        " nothing of it. Slip is `transport_slip_m` of the stored execution.",
+        "An object that slips may fall or hold far from any tolerance, which is why distance alone does not tell. Slip is"
+        f" `transport_slip_m` of the stored execution. {_share_slipping(executed)}",
         _flips(slip_bins, "slip [mm]"),
         "### Flips by stored execution status",
         table(["stored status", "flips [95 %]", "status differs [95 %]"], by_status),
@@ -234,6 +236,17 @@ def _binned(executed: pl.DataFrame, value: pl.Expr, edges: Sequence[float]) -> d
         bins[label] = executed.filter((value >= low) & (value < high))
     bins["none"] = executed.filter(value.is_null())
     return {label: own for label, own in bins.items() if not own.is_empty()}
+
+
+def _share_slipping(executed: pl.DataFrame) -> str:
+    """How many of the flips slip, and how rarely what neither slips nor is near the tolerance flips."""
+    flips = executed.filter("success_differs")
+    slipping = flips.filter(pl.col("transport_slip_m") >= _SLIPPING_M)
+    steady = executed.filter((pl.col("transport_slip_m") < _SLIPPING_M) & (pl.col("tolerance_margin").abs() >= _NEAR_MARGIN))
+    return (
+        f"Of {flips.height} flips, {slipping.height} slip {1e3 * _SLIPPING_M:g} mm or more. Of executions that slip less and end at least"
+        f" {_NEAR_MARGIN:g} from the tolerance, {_mismatch(steady, 'success') or 'none were made'} flip."
+    )
 
 
 def _flips(bins: Mapping[str, pl.DataFrame], title: str) -> str:

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import polars as pl
 import pyarrow as pa
 
 from splits.frames import frame_of
 from tables.vocabulary import ExecStatus, LiftStatus, PlanStatus
-
-# What the labels were judged by; a release states its own where its recipe deviates.
-POSITION_TOLERANCE_M = 0.020
-ROTATION_TOLERANCE_RAD = math.radians(10.0)
 
 # A margin recomputed from two stored doubles differs from the stored one by rounding only.
 _MARGIN_ROUNDING = 1e-9
@@ -36,8 +30,8 @@ def find_label_errors(
     grasps: pa.Table,
     targets: pa.Table,
     *,
-    position_tolerance_m: float = POSITION_TOLERANCE_M,
-    rotation_tolerance_rad: float = ROTATION_TOLERANCE_RAD,
+    position_tolerance_m: float,
+    rotation_tolerance_rad: float,
 ) -> list[str]:
     """One sentence for every rule that is broken: how often, and the first candidate that breaks it with its values.
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from splits.data_card import render_card
-from splits.label_errors import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD, find_label_errors
+from splits.label_errors import find_label_errors
 from splits.leakage import find_leaks
 from splits.manifest import MANIFEST, Manifest, ReleaseError, TableEntry, library_versions, read_manifest, release_hash_of
 from tables.columns import SchemaError
@@ -47,8 +47,8 @@ def write_release(
     version: str,
     provenance: Mapping[str, str],
     *,
-    position_tolerance_m: float = POSITION_TOLERANCE_M,
-    rotation_tolerance_rad: float = ROTATION_TOLERANCE_RAD,
+    position_tolerance_m: float,
+    rotation_tolerance_rad: float,
 ) -> Manifest:
     """Check the tables, write them with the data card, and write the manifest last.
 

@@ -146,7 +146,10 @@ class _SlowJudge:
 
     def _line(self, T_end: Float[np.ndarray, "4 4"], q: Float[np.ndarray, "7"]) -> Float[np.ndarray, "m 7"] | None:
         if q[3] < _CLOSED_FORM_Q4_RAD:
-            return follow_line(self.T_place, T_end, q, self.params.line_step_m, self.max_jump_rad)
+            line = follow_line(self.T_place, T_end, q, self.params.line_step_m, self.max_jump_rad)
+            if line is not None:
+                return line
+        # Where the closed form gives up, the line may run on through what it does not know.
         return numeric_ik.follow_line(self.world, self.T_place, T_end, q, self.params.line_step_m, self.max_jump_rad)
 
     def _tcp_line(self, T_end: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "m 4 4"]:

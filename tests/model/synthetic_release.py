@@ -7,6 +7,7 @@ So a ranker that reads the poses and the cloud can learn it, and one that cannot
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,8 @@ Row = dict[str, Any]
 
 N_TARGETS = 8
 HAND_OFFSET_M = 0.08  # from the TCP back to the middle of the hand
+# What the synthetic labels are judged by.
+TOLERANCES = {"position_tolerance_m": 0.020, "rotation_tolerance_rad": math.radians(10.0)}
 RELEASE_SCHEMAS = (
     schemas.OBJECTS, schemas.SCENES, schemas.OBSTACLES, schemas.TARGETS, schemas.SCENE_POINTS, schemas.GRASP_POOL, schemas.GRASPS,
     schemas.CANDIDATES, schemas.SPLITS, schemas.POLICY_FEATURES, schemas.TIMINGS,

@@ -11,10 +11,11 @@ from reports.report import ReportError
 from splits.release import write_release
 from tables.identity import order_key
 from tables.store import StoreError
+from tests.model.synthetic_release import TOLERANCES
 
 
 def test_a_release_is_read_back(release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
-    write_release(release_tables, tmp_path, "pilot", "0.1.0", {"recipe_hash": "x"})
+    write_release(release_tables, tmp_path, "pilot", "0.1.0", {"recipe_hash": "x"}, **TOLERANCES)
     loaded = load_release(tmp_path)
     assert loaded.keys() == release_tables.keys()
     assert all(loaded[name].equals(release_tables[name]) for name in loaded)

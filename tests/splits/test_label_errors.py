@@ -8,11 +8,12 @@ import pytest
 from splits.label_errors import find_label_errors
 from tables import schemas
 from tables.store import table_from_rows
+from tests.model.synthetic_release import TOLERANCES
 from tests.splits.changed import changed
 
 
 def errors_of(tables: dict[str, pa.Table], candidates: pa.Table | None = None, **tolerances: float) -> list[str]:
-    return find_label_errors(candidates or tables["candidates"], tables["grasps"], tables["targets"], **tolerances)
+    return find_label_errors(candidates or tables["candidates"], tables["grasps"], tables["targets"], **{**TOLERANCES, **tolerances})
 
 
 def test_a_sound_release_has_no_error(release_tables: dict[str, pa.Table]) -> None:

@@ -18,6 +18,7 @@ from splits.release import ReleaseError, main, verify_release, write_release
 from tables import schemas
 from tables.columns import SchemaError
 from tables.store import write_table
+from tests.model.synthetic_release import TOLERANCES
 from tests.splits.changed import changed
 
 PROVENANCE = {"recipe_hash": "0" * 64, "code_version": "abc"}
@@ -27,7 +28,7 @@ PROVENANCE = {"recipe_hash": "0" * 64, "code_version": "abc"}
 def release(release_tables: dict[str, pa.Table], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A release on disk; tests that change it copy it first."""
     directory = tmp_path_factory.mktemp("release")
-    write_release(release_tables, directory, "pilot", "0.1.0", PROVENANCE)
+    write_release(release_tables, directory, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
     return directory
 
 
@@ -107,7 +108,7 @@ def test_an_incomplete_release_is_refused(release: Path, tmp_path: Path, damage:
 def test_impossible_tables_are_not_released(release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
     flipped = changed(schemas.CANDIDATES, release_tables["candidates"], lambda row: row["y_plan"], y_plan=False)
     with pytest.raises(ReleaseError, match="labels: "):
-        write_release(release_tables | {"candidates": flipped}, tmp_path, "pilot", "0.1.0", PROVENANCE)
+        write_release(release_tables | {"candidates": flipped}, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -124,14 +125,14 @@ def test_a_release_needs_its_tables_tier_and_recipe(
 ) -> None:
     tables = {name: table for name, table in release_tables.items() if name != without}
     with pytest.raises(ReleaseError, match=message):
-        write_release(tables, tmp_path, tier, "0.1.0", provenance)
+        write_release(tables, tmp_path, tier, "0.1.0", provenance, **TOLERANCES)
 
 
 def test_a_table_of_the_wrong_type_is_not_released(release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
     pool = release_tables["grasp_pool"]
     wrong = pool.set_column(pool.column_names.index("jaw_width_m"), "jaw_width_m", pool["jaw_width_m"].cast(pa.float32()))
     with pytest.raises(SchemaError, match="grasp_pool: schema differs"):
-        write_release(release_tables | {"grasp_pool": wrong}, tmp_path, "pilot", "0.1.0", PROVENANCE)
+        write_release(release_tables | {"grasp_pool": wrong}, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
     assert not (tmp_path / MANIFEST).exists()
 
 
@@ -141,16 +142,19 @@ def test_the_same_tables_give_the_same_bytes_and_stale_tables_go(
     directory = copy_of(release, tmp_path)
     shutil.copy(directory / "targets.parquet", directory / "plans.parquet")
     shutil.copy(directory / "targets.parquet.json", directory / "plans.parquet.json")
-    write_release(release_tables, directory, "pilot", "0.1.0", PROVENANCE)
+    write_release(release_tables, directory, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
     assert {path.name: path.read_bytes() for path in directory.iterdir()} == {path.name: path.read_bytes() for path in release.iterdir()}
 
 
 def test_timings_are_no_part_of_the_release_hash(release: Path, release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
     slower = changed(schemas.TIMINGS, release_tables["timings"], lambda row: True, core_ms=1e6)
-    manifest = write_release(release_tables | {"timings": slower}, tmp_path, "pilot", "0.1.0", PROVENANCE)
+    manifest = write_release(release_tables | {"timings": slower}, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
     assert manifest.release_hash == read_manifest(release).release_hash
     other = changed(schemas.TARGETS, release_tables["targets"], lambda row: True, rest_drift_m=1e-6)
-    assert write_release(release_tables | {"targets": other}, tmp_path, "pilot", "0.1.0", PROVENANCE).release_hash != manifest.release_hash
+    assert (
+        write_release(release_tables | {"targets": other}, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES).release_hash
+        != manifest.release_hash
+    )
 
 
 def test_the_card_states_the_data(release: Path, release_tables: dict[str, pa.Table]) -> None:
@@ -189,3 +193,11 @@ def test_the_command_line_says_whether_a_release_is_sound(release: Path, tmp_pat
     (directory / "README.md").write_text("nothing")
     assert main(["verify", str(directory)]) == 1
     assert "README.md: SHA-256" in capsys.readouterr().err
+
+
+def test_a_release_is_checked_by_and_states_its_own_tolerances(release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
+    manifest = write_release(release_tables, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+    assert manifest.position_tolerance_m == TOLERANCES["position_tolerance_m"]
+    assert "| `position_tolerance_m` | `0.02` |" in (tmp_path / "README.md").read_text()
+    with pytest.raises(ReleaseError, match="position error / 0"):
+        write_release(release_tables, tmp_path, "pilot", "0.1.0", PROVENANCE, position_tolerance_m=0.0075, rotation_tolerance_rad=0.087)
