@@ -40,7 +40,7 @@ class GraspPoolParams:
     n_surface_samples: int = 1500
     # Most hit the table or the object with the hand; a mug's side needs this many to find the few that do not.
     n_candidates: int = 24_000
-    # Friction cone of a rubber pad, tan(angle) = 0.4: half of what the physics grants, so that a grasp is never held by luck.
+    # Friction cone of a rubber pad, tan(angle) = 0.4: what a clean pad holds on most surfaces. The recipe sets its own.
     friction: float = 0.4
     # Pads are flat: a contact far off the normal is no contact of the pad's middle. 0.1 rad is 3 mm on a 66 mm can.
     jitter_rad: float = 0.1

@@ -29,11 +29,10 @@ class PlanningParams:
     # Let go above the target: the held object needs its clearance of 1 mm above the table, and the arm tracks within 1 mm. From 3 mm it
     # lands at 0.24 m/s; below 2 mm no place pose would be free.
     release_height_m: float = 0.003
-    preplace_m: float = 0.10  # straight descend: an obstacle is 0.12 m high, so the object comes down beside it
+    preplace_m: float = 0.10  # straight descend: what is set down beside an obstacle of 0.12 m comes down along it
     retreat_m: float = 0.10  # straight retreat along the approach: longer than a finger
-    n_q7: int = (
-        128  # lines of 0.15 m can be followed from a narrow range only: 32 miss 7 plans in 3,240 candidates that 256 find, 128 miss 1
-    )
+    # Lines of 0.15 m can be followed from a narrow range of joint 7 only: 32 miss 7 plans in 3,240 candidates that 256 find, 128 miss 1.
+    n_q7: int = 128
     max_goals: int = 512  # all: the nearest 16 lie so close that 4 in 1,000 labels were blocked for all of them but not for the next
     line_step_m: float = 0.0025  # at 5 mm, 3-6 % of line verdicts flip
     max_joint_jump_rad: float = 0.1  # a line step: 0.35 rad flips no label, but such lines take up to 11 s instead of 1.1

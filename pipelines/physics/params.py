@@ -17,7 +17,7 @@ class PhysicsParams:
     arm_velocity_gain: float = 1.0
     finger_speed_m_s: float = 0.1  # the Franka Hand's own limit
     # Speed that a gripping finger strives for and never reaches. At 0.1 m/s its motor meets its bound so late in the solver's iterations
-    # that the friction behind it lags: the heaviest boxes crept 2.5 mm in five seconds, so 0.5 mm.
+    # that the friction behind it lags: without anchors, the heaviest boxes crept 2.5 mm in five seconds, so 0.5 mm.
     grip_speed_m_s: float = 0.3
     # Force of a finger: 15 N and 50 N a kilogram, at most 60 N (the Franka Hand holds 70 N). Whoever grasps a sponge as hard as a full
     # can crushes it; here the engine would: 30 N on everything lost 6 of 16 grasps of the lightest objects to the solver, and held the

@@ -47,7 +47,7 @@ def ik(T_base_tcp: Float[np.ndarray, "4 4"], n_q7: int = 32) -> Float[np.ndarray
 
     Args:
         T_base_tcp: TCP pose in the base frame.
-        n_q7: grid cells over the range of joint 7; their centres are tried (32 find what 128 find for placing).
+        n_q7: grid cells over the range of joint 7; their centres are tried (32 for a pose; lines need more, see PlanningParams).
 
     Returns:
         Up to 4 configurations a cell, ordered by q7, then by branch.

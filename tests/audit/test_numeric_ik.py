@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
 
 from pipelines.audit import numeric_ik
 from pipelines.audit.bullet_scene import BulletScene
@@ -25,6 +29,17 @@ def test_numerical_inverse_kinematics_finds_what_the_closed_form_finds() -> None
         # From so far away the pose cannot be reached.
         assert numeric_ik.solutions(world, pose(1.4, 0.0, 0.5), 8, np.random.default_rng(0)) == []
     assert n_found >= 14
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 1e-4, 0.7, 2.0, 3.0, math.pi - 1e-4])
+def test_turns_are_scipys(angle_rad: float) -> None:
+    for axis in np.random.default_rng(0).normal(size=(20, 3)):
+        turn = angle_rad * axis / np.linalg.norm(axis)
+        np.testing.assert_allclose(numeric_ik._turn(Rotation.from_rotvec(turn).as_matrix()), turn, atol=1e-7)
+
+
+def test_half_a_turn_has_its_length() -> None:
+    assert np.linalg.norm(numeric_ik._turn(np.diag([1.0, -1.0, -1.0]))) == pytest.approx(math.pi)
 
 
 def test_numerical_lines_are_the_closed_forms() -> None:

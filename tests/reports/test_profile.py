@@ -32,6 +32,18 @@ def test_sizes_and_statuses_are_counts_of_the_tables(report: Report, release_tab
     )
 
 
+def test_objects_whose_grasps_rarely_lift_are_named(report: Report, release_tables: dict[str, pa.Table]) -> None:
+    lifted: dict[str, list[bool]] = {}
+    for row in release_tables["grasps"].to_pylist():
+        if row["admission_status"] == "admitted":
+            lifted.setdefault(row["object_id"], []).append(row["lift_status"] == "lifted")
+    shares = {name: sum(own) / len(own) for name, own in lifted.items()}
+    names = [f"`{name}` ({100 * share:.1f} %)" for name, share in sorted(shares.items()) if share < 0.75]
+    assert ("Below 75.0 % of admitted grasps lifted: " in report.markdown) == bool(names)
+    for name in names:
+        assert name in report.markdown
+
+
 def test_coverage_of_a_part_is_counted_over_its_groups(report: Report, release_tables: dict[str, pa.Table]) -> None:
     asked = {(row["scene_id"], row["target_id"]) for row in release_tables["targets"].to_pylist() if row["resting"] == "lying"}
     held = {(row["scene_id"], row["target_id"]) for row in release_tables["candidates"].to_pylist() if row["y_pipe"]}

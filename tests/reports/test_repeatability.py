@@ -102,6 +102,9 @@ def test_flips_are_placed_by_margin_category_and_perturbation(release_tables: di
     report = repeatability_report(attempts, release_tables["candidates"], tier="pilot")
     assert 0 < n_flipped < n_near < len(rows)
     assert report.metrics["executed.flip_rate"] == pytest.approx(n_flipped / len(rows))
+    stored = {row["candidate_id"]: row["transport_slip_m"] for row in release_tables["candidates"].to_pylist()}
+    n_slipping = sum(not row["exec_matches"] and stored[row["candidate_id"]] >= 0.005 for row in rows)
+    assert f"Of {n_flipped} flips, {n_slipping} slip 5 mm or more." in report.markdown
     bins = {line.split(" |")[0][2:]: line for line in report.markdown.splitlines() if line.startswith(("| 0", "| from"))}
     assert sum(int(bins[name].split("|")[2]) for name in ("0 to 0.05", "0.05 to 0.1")) == n_near
     assert all(": 0.0 [" in line for name, line in bins.items() if name not in ("0 to 0.05", "0.05 to 0.1"))
