@@ -27,9 +27,10 @@ from assets_def.stages import stage_assets
 from pipelines.data_root import DataRoot
 from pipelines.floors import bare_step_us, collision_check_us
 from pipelines.object_tables import make_object_tables
+from pipelines.profiles import largest_costs
 from pipelines.scene import scenes_from_tables
 from pipelines.shard_runner import load_shard_inputs, read_timings
-from pipelines.stages import STAGES
+from pipelines.stages import STAGE, STAGES
 from pipelines.workers import run_units
 from splits.frames import frame_of
 from tables.schemas import ALL_SCHEMAS
@@ -40,6 +41,7 @@ CONSOLE = Console()
 TIMED_SHARD, OTHER_SHARD = "full-000", "full-033"
 PAPER_PLANNING_MS = 1254.0
 N_CANDIDATES = 250_000
+N_PROFILED = 60  # units, a grasp each
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +70,10 @@ def bench(folder: Path) -> dict[str, object]:
     floors = _floors(DataRoot(two))
     floor_ms = _floor_ms(DataRoot(two), shards, floors)
     result = _figures(frame, runs) | floors | {"floor_ms": {" ".join(key): value for key, value in floor_ms.items()}}
+    inputs = load_shard_inputs(DataRoot(two), TIMED_SHARD, Benchmark().recipe("full"))
+    for name in ("planning_labels", "execution_labels"):
+        costs = largest_costs(STAGE[name], TIMED_SHARD, DataRoot(two), inputs, N_PROFILED)
+        result[f"largest_costs_{name}"] = {function: round(share, 3) for function, share in costs}
     _print(frame, floor_ms, result)
     return result
 
