@@ -34,7 +34,7 @@ from pipelines.stages import STAGE, STAGES
 from pipelines.workers import run_units
 from splits.frames import frame_of
 from tables.schemas import ALL_SCHEMAS
-from tables.store import read_table, write_text_atomically
+from tables.store import read_tables, write_text_atomically
 
 CONSOLE = Console()
 # 38 scenes of the full recipe: every object at least once. The first is built with one worker and again with two.
@@ -158,7 +158,7 @@ def _floor_ms(root: DataRoot, shards: Sequence[str], floors: dict[str, dict[str,
 
 
 def _tables(root: DataRoot, shards: Sequence[str], name: str) -> pl.DataFrame:
-    return pl.concat([frame_of(read_table(ALL_SCHEMAS[name], root.shard_table(shard, name))) for shard in shards])
+    return frame_of(read_tables(ALL_SCHEMAS[name], [root.shard_table(shard, name) for shard in shards]))
 
 
 def _print(frame: pl.DataFrame, floor_ms: dict[tuple[str, str], float], result: dict[str, object]) -> None:

@@ -16,7 +16,7 @@ from dagster import (
     multi_asset,
 )
 
-from assets_def.checks import consistency_result, schema_check, schema_check_spec
+from assets_def.checks import consistency_result, schema_check_spec
 from assets_def.metadata import markdown_table, table_metadata
 from assets_def.partitions import (
     parse_ranker_key,
@@ -27,6 +27,7 @@ from assets_def.partitions import (
     tiers_to_rankers,
 )
 from assets_def.resources import Benchmark
+from assets_def.tier_tables import publish_tier_table
 from model.inputs import FIVE_INPUTS, FORBIDDEN_COLUMNS
 from model.scoring import decision_times, score
 from model.settings import Variant, settings_named
@@ -103,12 +104,7 @@ def predictions(context: AssetExecutionContext, benchmark: Benchmark) -> Iterato
     release_dir = benchmark.root.release(tier)
     keys = rankers_of_tier(tier)
     tables = [score(release_dir, benchmark.root.checkpoint(tier, key.variant.value, key.seed)) for key in keys]
-    path = benchmark.root.tier_table(tier, "predictions")
-    sidecar = write_table(PREDICTIONS, join_tables(PREDICTIONS, tables), path)
-    yield MaterializeResult(
-        "predictions", metadata=table_metadata(PREDICTIONS, path, sidecar), data_version=DataVersion(sidecar.content_hash)
-    )
-    yield schema_check(PREDICTIONS, path)
+    yield from publish_tier_table(benchmark, tier, PREDICTIONS, join_tables(PREDICTIONS, tables))
 
     full = next(key for key in keys if key.variant is Variant.FULL)
     times = decision_times(release_dir, benchmark.root.checkpoint(tier, full.variant.value, full.seed))

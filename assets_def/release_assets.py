@@ -16,10 +16,10 @@ from dagster import (
     multi_asset,
 )
 
-from assets_def.checks import consistency_result, schema_check, schema_check_spec
-from assets_def.metadata import table_metadata
+from assets_def.checks import consistency_result, schema_check_spec
 from assets_def.partitions import shards_to_tiers, tier_partitions
 from assets_def.resources import Benchmark, family_of_tier
+from assets_def.tier_tables import publish_tier_table
 from pipelines.joined import join_candidates, join_grasps
 from pipelines.recipe import Recipe
 from pipelines.shard_runner import read_timings
@@ -28,10 +28,9 @@ from splits.label_errors import find_label_errors
 from splits.leakage import find_leaks
 from splits.release import verify_release, write_release
 from splits.scene_groups import SplitParams, split_rows
-from tables.columns import TableSchema
 from tables.identity import scenes_of_shard, shards_of_tier
 from tables.schemas import ALL_SCHEMAS, CANDIDATES, GRASPS, SPLITS
-from tables.store import read_table, read_tables, table_from_rows, write_table
+from tables.store import read_table, read_tables, table_from_rows
 
 DATA_VERSION = "0.1.0"
 RELEASE_CODE_VERSION = "1"
@@ -79,7 +78,7 @@ def joined_tables(context: AssetExecutionContext, benchmark: Benchmark) -> Itera
         GRASPS.name: join_grasps(shard["grasp_admission"], shard["pick_lift"], shard["scenes"], grasp_pool),
     }
     for schema in (CANDIDATES, GRASPS):
-        yield from _published(benchmark, tier, schema, tables[schema.name])
+        yield from publish_tier_table(benchmark, tier, schema, tables[schema.name])
     targets = _over_shards(benchmark, tier, "targets")
     errors = find_label_errors(tables["candidates"], tables["grasps"], targets, **_tolerances(benchmark.recipe_of_tier(tier)))
     yield consistency_result("candidates", errors)
@@ -113,7 +112,7 @@ def splits_table(context: AssetExecutionContext, benchmark: Benchmark) -> Iterat
     universe = [(layout.scene_id, layout.category, layout.n_obstacles) for layout in benchmark.universe(family)]
     scene_ids = [scene_id for shard in shards_of_tier(tier) for scene_id in scenes_of_shard(shard)]
     splits = table_from_rows(SPLITS, split_rows(scene_ids, universe, SplitParams(), benchmark.recipe(family).seed))
-    yield from _published(benchmark, tier, SPLITS, splits)
+    yield from publish_tier_table(benchmark, tier, SPLITS, splits)
     tables = {name: _over_shards(benchmark, tier, name) for name in ("scenes", "obstacles", "targets")}
     candidates = read_table(CANDIDATES, benchmark.root.tier_table(tier, "candidates"))
     objects = benchmark.root.read_objects()["objects"]
@@ -172,13 +171,6 @@ release_assets = [joined_tables, splits_table, release]
 def _over_shards(benchmark: Benchmark, tier: str, name: str) -> pa.Table:
     """A table over an explicit list of shards: a glob would hide a missing one."""
     return read_tables(ALL_SCHEMAS[name], [benchmark.root.shard_table(shard, name) for shard in shards_of_tier(tier)])
-
-
-def _published(benchmark: Benchmark, tier: str, schema: TableSchema, table: pa.Table) -> Iterator[MaterializeResult | AssetCheckResult]:
-    path = benchmark.root.tier_table(tier, schema.name)
-    sidecar = write_table(schema, table, path)
-    yield MaterializeResult(schema.name, metadata=table_metadata(schema, path, sidecar), data_version=DataVersion(sidecar.content_hash))
-    yield schema_check(schema, path)
 
 
 def _tolerances(recipe: Recipe) -> dict[str, float]:

@@ -9,17 +9,17 @@ from dagster import (
     AssetExecutionContext,
     AssetsDefinition,
     AssetSpec,
-    DataVersion,
     MaterializeResult,
     MetadataValue,
     asset,
     multi_asset,
 )
 
-from assets_def.checks import schema_check, schema_check_spec
-from assets_def.metadata import inline_figure, table_metadata
+from assets_def.checks import schema_check_spec
+from assets_def.metadata import inline_figure
 from assets_def.partitions import tier_partitions
 from assets_def.resources import Benchmark
+from assets_def.tier_tables import publish_tier_table
 from objects.kit import kits_from_tables
 from pipelines.audits import AUDITED_TABLES, audit_items, audit_rows, choose_audited
 from pipelines.repeats import Repeat, attempt_rows, choose_perturbed
@@ -34,7 +34,7 @@ from reports.report import Report
 from reports.success_at_k import success_at_k_report
 from tables.identity import parse_candidate_id
 from tables.schemas import ATTEMPTS, AUDITS, PREDICTIONS, TIMINGS
-from tables.store import read_table, table_from_rows, write_table
+from tables.store import read_table, table_from_rows
 from tables.vocabulary import Perturbation
 
 REPORT_CODE_VERSION = "1"
@@ -75,10 +75,7 @@ def attempts(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[M
         *((name, kind, 0) for name, kind in choose_perturbed(tables["candidates"], recipe.seed, N_PERTURBED[tier])),
     ]
     rows = list(attempt_rows(_repeats(tables, benchmark, tier, chosen), benchmark.n_workers))
-    path = benchmark.root.tier_table(tier, "attempts")
-    sidecar = write_table(ATTEMPTS, table_from_rows(ATTEMPTS, rows), path)
-    yield MaterializeResult("attempts", metadata=table_metadata(ATTEMPTS, path, sidecar), data_version=DataVersion(sidecar.content_hash))
-    yield schema_check(ATTEMPTS, path)
+    yield from publish_tier_table(benchmark, tier, ATTEMPTS, table_from_rows(ATTEMPTS, rows))
 
 
 def _repeats(tables: dict[str, pa.Table], benchmark: Benchmark, tier: str, chosen: Sequence[tuple[str, Perturbation, int]]) -> list[Repeat]:
@@ -118,10 +115,7 @@ def audits(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[Mat
     recipe = benchmark.recipe_of_tier(tier)
     chosen = choose_audited(tables["candidates"], recipe.seed, *N_AUDITED[tier])
     rows = list(audit_rows(audit_items(chosen, tables, recipe), benchmark.n_workers))
-    path = benchmark.root.tier_table(tier, "audits")
-    sidecar = write_table(AUDITS, table_from_rows(AUDITS, rows), path)
-    yield MaterializeResult("audits", metadata=table_metadata(AUDITS, path, sidecar), data_version=DataVersion(sidecar.content_hash))
-    yield schema_check(AUDITS, path)
+    yield from publish_tier_table(benchmark, tier, AUDITS, table_from_rows(AUDITS, rows))
 
 
 def _success_at_k(benchmark: Benchmark, tier: str) -> Report:

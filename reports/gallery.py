@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 import pyarrow as pa
 import trimesh
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from objects.gripper import gripper_boxes, open_jaw_m
@@ -19,6 +19,7 @@ from pipelines.filmstrip import render_execution_frames
 from pipelines.physics.camera import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, render_scene, shrunk
 from pipelines.physics.renderer import Renderer, View
 from pipelines.recipe import Recipe
+from pipelines.robot.geometry import moved
 from pipelines.scene import LiftedGrasp, Row, Scene, lifted_grasps, plan_in, pose_in, rows_by, scenes_from_tables
 from reports.report import Report
 from splits.frames import frame_of
@@ -85,7 +86,9 @@ def _object_tiles(kit: ObjectKit) -> list[_Tile]:
     size_m = float(np.ptp(kit.mesh.vertices_m, axis=0).max())
     grippers: dict[str, list[TriangleMesh]] = {}
     for grasp in kit.grasps:
-        grippers.setdefault(grasp.grasp_kind, []).append(_placed(_gripper_glyph(open_jaw_m(grasp.jaw_width_m), 0.08), grasp.T_object_grasp))
+        glyph = _gripper_glyph(open_jaw_m(grasp.jaw_width_m), 0.08)
+        placed = TriangleMesh(moved(grasp.T_object_grasp, glyph.vertices_m), glyph.faces)
+        grippers.setdefault(grasp.grasp_kind, []).append(placed)
     parts = [(part, _GRASP_RGBS[k % len(_GRASP_RGBS)]) for k, part in enumerate(kit.parts)]
     pool = [(_joined(grippers[kind]), _GRASP_RGBS[k % len(_GRASP_RGBS)]) for k, kind in enumerate(sorted(grippers))]
     kinds = ", ".join(f"{len(grippers[kind])} {kind}" for kind in sorted(grippers))
@@ -103,10 +106,6 @@ def _close_up(meshes: Sequence[tuple[TriangleMesh, tuple[float, float, float]]],
         for mesh, rgb in meshes:
             renderer.add_mesh(mesh, np.eye(4), rgb)
         return shrunk(renderer.photograph(view).rgb)
-
-
-def _placed(mesh: TriangleMesh, T: Float[np.ndarray, "4 4"]) -> TriangleMesh:
-    return TriangleMesh(mesh.vertices_m @ T[:3, :3].T + T[:3, 3], mesh.faces)
 
 
 def _joined(meshes: Sequence[TriangleMesh]) -> TriangleMesh:

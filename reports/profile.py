@@ -124,8 +124,7 @@ def _outcomes(frame: pl.DataFrame, grasps: pl.DataFrame, tier: str) -> tuple[lis
         stem = f"profile-{column}"
         figures[stem] = status_figure(counts, names, good.value, f"{column} of {of}, {tier}")
         blocks.append(f"![{column} by category]({stem}.png)")
-    hard = _hard_to_lift(admitted)
-    return [*blocks, "### By object", *([hard] if hard else []), _objects_table(frame, grasps)], figures
+    return [*blocks, "### By object", *_hard_to_lift(admitted), _objects_table(frame, grasps)], figures
 
 
 def _status_counts(rows: pl.DataFrame, column: str) -> dict[str, dict[str, int]]:
@@ -171,16 +170,13 @@ def _objects_table(frame: pl.DataFrame, grasps: pl.DataFrame) -> str:
     )
 
 
-def _hard_to_lift(admitted: pl.DataFrame) -> str | None:
+def _hard_to_lift(admitted: pl.DataFrame) -> list[str]:
     """Objects whose grasps do not lift as a roboticist would expect."""
     lifted = (pl.col("lift_status") == LiftStatus.LIFTED.value).mean()
     shares = admitted.group_by("object_id").agg(lifted.alias("lifted")).filter(pl.col("lifted") < MIN_LIFTED_SHARE).sort("object_id")
     names = ", ".join(f"`{name}` ({percent(share_lifted)})" for name, share_lifted in shares.iter_rows())
-    return (
-        f"Below {percent(MIN_LIFTED_SHARE)} of admitted grasps lifted: {names}. The card in `objects/catalogue.toml` says why."
-        if names
-        else None
-    )
+    text = f"Below {percent(MIN_LIFTED_SHARE)} of admitted grasps lifted: {names}. The card in `objects/catalogue.toml` says why."
+    return [text] if names else []
 
 
 def _reasons(rows: pl.DataFrame, column: str) -> str | None:
