@@ -24,14 +24,14 @@ from rich.table import Column, Table
 
 from assets_def.resources import REPOSITORY, Benchmark
 from assets_def.stages import stage_assets
-from pipelines.data_root import DataRoot
-from pipelines.floors import bare_step_us, collision_check_us
-from pipelines.object_tables import make_object_tables
-from pipelines.profiles import largest_costs
-from pipelines.scene import scenes_from_tables
-from pipelines.shard_runner import load_shard_inputs, read_timings
+from pipelines.codecs import scenes_from_tables
+from pipelines.proofs.cpu_profile import largest_costs
+from pipelines.proofs.engine_baselines import bare_step_us, collision_check_us
+from pipelines.running.data_root import DataRoot
+from pipelines.running.object_tables import make_object_tables
+from pipelines.running.shard_runner import load_shard_inputs, read_timings
+from pipelines.running.workers import run_units
 from pipelines.stages import STAGE, STAGES
-from pipelines.workers import run_units
 from splits.frames import frame_of
 from tables.schemas import ALL_SCHEMAS
 from tables.store import read_tables, write_text_atomically
@@ -136,10 +136,12 @@ def _floors(root: DataRoot) -> dict[str, dict[str, float]]:
     """Floors of a can, a mug and a cuboid in their first scenes."""
     inputs = load_shard_inputs(root, TIMED_SHARD, Benchmark().recipe("full"))
     scenes = scenes_from_tables(*root.read_shard(TIMED_SHARD, [ALL_SCHEMAS[name] for name in ("scenes", "obstacles", "targets")]).values())
-    first = [(inputs.kits[layout.object_id], scenes[layout.scene_id]) for layout in inputs.layouts[:3]]
+    first = [(inputs.object_models[allocation.object_id], scenes[allocation.scene_id]) for allocation in inputs.allocations[:3]]
     return {
-        "floor_bare_step_us": {kit.category: bare_step_us(kit, scene, inputs.recipe.physics) for kit, scene in first},
-        "floor_collision_check_us": {kit.category: collision_check_us(kit, scene) for kit, scene in first},
+        "floor_bare_step_us": {
+            object_model.category: bare_step_us(object_model, scene, inputs.recipe.physics) for object_model, scene in first
+        },
+        "floor_collision_check_us": {object_model.category: collision_check_us(object_model, scene) for object_model, scene in first},
     }
 
 

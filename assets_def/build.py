@@ -25,7 +25,7 @@ from assets_def.release_assets import joined_tables, release, splits_table
 from assets_def.report_assets import report_assets_of
 from assets_def.resources import Benchmark
 from assets_def.stages import stage_assets
-from pipelines.shard_runner import is_published
+from pipelines.running.shard_runner import is_published
 from pipelines.stages import STAGES
 from tables.identity import shards_of_tier
 

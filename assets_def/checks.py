@@ -9,8 +9,8 @@ from typing import Any
 import polars as pl
 from dagster import AssetCheckResult, AssetCheckSpec
 
-from pipelines.data_root import DataRoot
-from pipelines.layout import SceneLayout
+from pipelines.running.data_root import DataRoot
+from pipelines.scenes.allocation import SceneAllocation
 from pipelines.stages import Stage
 from tables.columns import SchemaError, TableSchema
 from tables.schemas import ALL_SCHEMAS
@@ -44,10 +44,10 @@ def stage_check_specs(stage: Stage) -> list[AssetCheckSpec]:
     return [AssetCheckSpec("consistent", asset=table, blocking=True, description=_GATES[stage.name][1].__doc__)]
 
 
-def stage_checks(stage: Stage, root: DataRoot, shard: str, layouts: Sequence[SceneLayout]) -> Iterator[AssetCheckResult]:
+def stage_checks(stage: Stage, root: DataRoot, shard: str, allocations: Sequence[SceneAllocation]) -> Iterator[AssetCheckResult]:
     """Result of `stage_check_specs`, read from disk."""
     table, gate = _GATES[stage.name]
-    errors = gate(lambda name: _frame(root, shard, name), layouts)
+    errors = gate(lambda name: _frame(root, shard, name), allocations)
     yield consistency_result(table, errors)
 
 
@@ -60,40 +60,40 @@ def consistency_result(table: str, errors: Sequence[str]) -> AssetCheckResult:
 Frames = Callable[[str], pl.DataFrame]
 
 
-def _scenes(frames: Frames, layouts: Sequence[SceneLayout]) -> list[str]:
+def _scenes(frames: Frames, allocations: Sequence[SceneAllocation]) -> list[str]:
     """Every scene of the shard is there, with its object, its obstacle count and eight targets."""
     scenes = {row["scene_id"]: row for row in frames("scenes").iter_rows(named=True)}
     n_obstacles = dict(frames("obstacles").group_by("scene_id").len().iter_rows())
     n_targets = dict(frames("targets").group_by("scene_id").len().iter_rows())
-    errors = [f"{scene_id}: not of this shard" for scene_id in scenes.keys() - {layout.scene_id for layout in layouts}]
-    for layout in layouts:
-        row = scenes.get(layout.scene_id)
+    errors = [f"{scene_id}: not of this shard" for scene_id in scenes.keys() - {allocation.scene_id for allocation in allocations}]
+    for allocation in allocations:
+        row = scenes.get(allocation.scene_id)
         if row is None:
-            errors.append(f"{layout.scene_id}: missing")
+            errors.append(f"{allocation.scene_id}: missing")
             continue
-        found = (row["object_id"], row["n_obstacles"], n_obstacles.get(layout.scene_id, 0), n_targets.get(layout.scene_id, 0))
-        wanted = (layout.object_id, layout.n_obstacles, layout.n_obstacles, N_TARGETS)
+        found = (row["object_id"], row["n_obstacles"], n_obstacles.get(allocation.scene_id, 0), n_targets.get(allocation.scene_id, 0))
+        wanted = (allocation.object_id, allocation.n_obstacles, allocation.n_obstacles, N_TARGETS)
         if found != wanted:
-            errors.append(f"{layout.scene_id}: object, obstacles, obstacle rows, targets are {found}, must be {wanted}")
+            errors.append(f"{allocation.scene_id}: object, obstacles, obstacle rows, targets are {found}, must be {wanted}")
     return errors
 
 
-def _scene_points(frames: Frames, layouts: Sequence[SceneLayout]) -> list[str]:
+def _scene_points(frames: Frames, allocations: Sequence[SceneAllocation]) -> list[str]:
     """Every scene has points on its object and on the table."""
     seen = set(frames("scene_points").select("scene_id", "point_type").unique().iter_rows())
-    wanted = {(layout.scene_id, kind) for layout in layouts for kind in ("object", "environment")}
+    wanted = {(allocation.scene_id, kind) for allocation in allocations for kind in ("object", "environment")}
     return [f"{scene_id}: no {kind} point" for scene_id, kind in sorted(wanted - seen)]
 
 
-def _grasp_admission(frames: Frames, layouts: Sequence[SceneLayout]) -> list[str]:
+def _grasp_admission(frames: Frames, allocations: Sequence[SceneAllocation]) -> list[str]:
     """Arm configurations are there exactly where a grasp was admitted, and every scene has rows."""
     rows = frames("grasp_admission")
-    errors = _missing(rows["scene_id"], [layout.scene_id for layout in layouts])
+    errors = _missing(rows["scene_id"], [allocation.scene_id for allocation in allocations])
     wrong = rows.filter((pl.col("admission_status") == "admitted") & pl.col("grasp_q_1_rad").is_null())
     return errors + [f"{s}-g{g:02d}: admitted without a configuration" for s, g in wrong.select("scene_id", "grasp_id").iter_rows()]
 
 
-def _pick_lift(frames: Frames, layouts: Sequence[SceneLayout]) -> list[str]:
+def _pick_lift(frames: Frames, allocations: Sequence[SceneAllocation]) -> list[str]:
     """Exactly the admitted grasps were tried, and every lifted one has a measured state."""
     admitted = set(frames("grasp_admission").filter(pl.col("admission_status") == "admitted").select("scene_id", "grasp_id").iter_rows())
     rows = frames("pick_lift")
@@ -103,7 +103,7 @@ def _pick_lift(frames: Frames, layouts: Sequence[SceneLayout]) -> list[str]:
     return errors + [f"{s}-g{g:02d}: lifted without a state" for s, g in wrong.select("scene_id", "grasp_id").iter_rows()]
 
 
-def _candidate_pairs(frames: Frames, layouts: Sequence[SceneLayout]) -> list[str]:
+def _candidate_pairs(frames: Frames, allocations: Sequence[SceneAllocation]) -> list[str]:
     """Candidates are the product of lifted grasps and targets."""
     lifted = frames("pick_lift").filter(pl.col("lift_status") == "lifted").select("scene_id", "grasp_id")
     product = lifted.join(frames("targets").select("scene_id", "target_id"), on="scene_id").select("scene_id", "target_id", "grasp_id")
@@ -112,12 +112,12 @@ def _candidate_pairs(frames: Frames, layouts: Sequence[SceneLayout]) -> list[str
     return [f"{s}-t{t}-g{g:02d}: not in both candidates and product" for s, t, g in sorted(wrong)]
 
 
-def _policy_features(frames: Frames, layouts: Sequence[SceneLayout]) -> list[str]:
+def _policy_features(frames: Frames, allocations: Sequence[SceneAllocation]) -> list[str]:
     """Every candidate has the features of the endpoint baselines."""
     return _same_ids(frames("candidate_pairs"), frames("policy_features"))
 
 
-def _planning_labels(frames: Frames, layouts: Sequence[SceneLayout]) -> list[str]:
+def _planning_labels(frames: Frames, allocations: Sequence[SceneAllocation]) -> list[str]:
     """Every candidate has a status; y_plan, the status `solved` and a stored plan go together."""
     labels = frames("planning_labels")
     wrong = labels.filter(pl.col("y_plan") != (pl.col("plan_status") == "solved"))["candidate_id"].to_list()
@@ -125,7 +125,7 @@ def _planning_labels(frames: Frames, layouts: Sequence[SceneLayout]) -> list[str
     return errors + _same_ids(frames("candidate_pairs"), labels) + _same_ids(labels.filter("y_plan"), frames("plans"))
 
 
-def _execution_labels(frames: Frames, layouts: Sequence[SceneLayout]) -> list[str]:
+def _execution_labels(frames: Frames, allocations: Sequence[SceneAllocation]) -> list[str]:
     """Exactly the planned candidates were executed; y_pipe and the status `success` go together."""
     labels = frames("execution_labels")
     contradicts = (pl.col("y_pipe") != (pl.col("exec_status") == "success")).fill_null(True)
@@ -133,7 +133,7 @@ def _execution_labels(frames: Frames, layouts: Sequence[SceneLayout]) -> list[st
     return errors + _same_ids(frames("planning_labels").filter("y_plan"), labels)
 
 
-_GATES: dict[str, tuple[str, Callable[[Frames, Sequence[SceneLayout]], list[str]]]] = {
+_GATES: dict[str, tuple[str, Callable[[Frames, Sequence[SceneAllocation]], list[str]]]] = {
     "scenes": ("scenes", _scenes),
     "scene_points": ("scene_points", _scene_points),
     "grasp_admission": ("grasp_admission", _grasp_admission),

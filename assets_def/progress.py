@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from assets_def.stages import PROGRESS
-from pipelines.shard_runner import Progress as StageProgress
+from pipelines.running.shard_runner import Progress as StageProgress
 from pipelines.stages import STAGES
 
 # Share of a shard's wall time, measured on tier pilot; replaced by this run's own shares after its first shard.

@@ -20,9 +20,9 @@ from assets_def.checks import consistency_result, schema_check_spec
 from assets_def.partitions import shards_to_tiers, tier_partitions
 from assets_def.resources import Benchmark, family_of_tier
 from assets_def.tier_tables import publish_tier_table
-from pipelines.joined import join_candidates, join_grasps
 from pipelines.recipe import Recipe
-from pipelines.shard_runner import read_timings
+from pipelines.running.join import join_candidates, join_grasps
+from pipelines.running.shard_runner import read_timings
 from pipelines.stages import STAGES
 from splits.label_errors import find_label_errors
 from splits.leakage import find_leaks
@@ -109,7 +109,7 @@ def joined_tables(context: AssetExecutionContext, benchmark: Benchmark) -> Itera
 def splits_table(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
     tier = context.partition_key
     family = family_of_tier(tier)
-    universe = [(layout.scene_id, layout.category, layout.n_obstacles) for layout in benchmark.universe(family)]
+    universe = [(allocation.scene_id, allocation.category, allocation.n_obstacles) for allocation in benchmark.universe(family)]
     scene_ids = [scene_id for shard in shards_of_tier(tier) for scene_id in scenes_of_shard(shard)]
     splits = table_from_rows(SPLITS, split_rows(scene_ids, universe, SplitParams(), benchmark.recipe(family).seed))
     yield from publish_tier_table(benchmark, tier, SPLITS, splits)

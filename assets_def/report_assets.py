@@ -20,10 +20,10 @@ from assets_def.metadata import inline_figure
 from assets_def.partitions import tier_partitions
 from assets_def.resources import Benchmark
 from assets_def.tier_tables import publish_tier_table
-from objects.kit import kits_from_tables
-from pipelines.audits import AUDITED_TABLES, audit_items, audit_rows, choose_audited
-from pipelines.repeats import Repeat, attempt_rows, choose_perturbed
-from pipelines.scene import lifted_grasps, rows_by, scenes_from_tables
+from objects.object_model import object_models_from_tables
+from pipelines.codecs import lifted_grasps, rows_by, scenes_from_tables
+from pipelines.proofs.audits import AUDITED_TABLES, audit_items, audit_rows, choose_audited
+from pipelines.proofs.repeats import Repeat, attempt_rows, choose_perturbed
 from reports.ablation import ablation_report
 from reports.audit import audit_report
 from reports.gallery import gallery_report
@@ -80,7 +80,9 @@ def attempts(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[M
 
 def _repeats(tables: dict[str, pa.Table], benchmark: Benchmark, tier: str, chosen: Sequence[tuple[str, Perturbation, int]]) -> list[Repeat]:
     recipe = benchmark.recipe_of_tier(tier)
-    kits = kits_from_tables(*(tables[name] for name in ("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool")))
+    object_models = object_models_from_tables(
+        *(tables[name] for name in ("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool"))
+    )
     scenes = scenes_from_tables(tables["scenes"], tables["obstacles"], tables["targets"])
     grasps = {name: {g.grasp_id: g for g in lifted_grasps(rows)} for name, rows in rows_by(tables["grasps"], "scene_id").items()}
     stored = {row["candidate_id"]: row for row in tables["candidates"].to_pylist()}
@@ -89,7 +91,7 @@ def _repeats(tables: dict[str, pa.Table], benchmark: Benchmark, tier: str, chose
         c = parse_candidate_id(name)
         scene = scenes[c.scene_id]
         grasp = grasps[c.scene_id][c.grasp_id]
-        repeats.append(Repeat(recipe, kits[scene.object_id], scene, grasp, c.target_id, stored[name], kind, number))
+        repeats.append(Repeat(recipe, object_models[scene.object_id], scene, grasp, c.target_id, stored[name], kind, number))
     return repeats
 
 

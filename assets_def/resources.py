@@ -8,10 +8,10 @@ from pathlib import Path
 from dagster import ConfigurableResource
 
 from objects.catalogue import catalogue_order
-from pipelines.data_root import DataRoot
-from pipelines.layout import SceneLayout, family_layout
 from pipelines.recipe import DEFAULT_RECIPE, Recipe, load_recipe
-from pipelines.shard_runner import ShardInputs, load_shard_inputs
+from pipelines.running.data_root import DataRoot
+from pipelines.running.shard_runner import ShardInputs, load_shard_inputs
+from pipelines.scenes.allocation import SceneAllocation, family_allocation
 from tables.identity import parse_scene_id, scenes_of_shard
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -38,9 +38,9 @@ class Benchmark(ConfigurableResource):
     def recipe_of_tier(self, tier: str) -> Recipe:
         return self.recipe(family_of_tier(tier))
 
-    def universe(self, family: str) -> tuple[SceneLayout, ...]:
+    def universe(self, family: str) -> tuple[SceneAllocation, ...]:
         """Layouts of every scene of a family, built or not."""
-        return family_layout(family, catalogue_order())
+        return family_allocation(family, catalogue_order())
 
     def shard_inputs(self, shard: str) -> ShardInputs:
         return load_shard_inputs(self.root, shard, self.recipe(family_of_shard(shard)))

@@ -1,4 +1,4 @@
-"""The chain from scenes to labels, one asset a table, partitioned by shard; the work is pipelines.shard_runner's."""
+"""The chain from scenes to labels, one asset a table, partitioned by shard; the work is pipelines.running.shard_runner's."""
 
 import logging
 from collections.abc import Iterator
@@ -17,8 +17,8 @@ from assets_def.checks import schema_check, schema_check_spec, stage_check_specs
 from assets_def.metadata import table_metadata
 from assets_def.partitions import shard_partitions
 from assets_def.resources import Benchmark
-from pipelines.data_root import OBJECT_TABLES
-from pipelines.shard_runner import Progress, run_stage
+from pipelines.running.data_root import OBJECT_TABLES
+from pipelines.running.shard_runner import Progress, run_stage
 from pipelines.stages import STAGES, Stage
 
 PROGRESS = logging.getLogger("placebench.progress")
@@ -82,7 +82,7 @@ def _asset_of(stage: Stage) -> AssetsDefinition:
             }
             yield MaterializeResult(schema.name, metadata=metadata, data_version=DataVersion(sidecar.content_hash))
             yield schema_check(schema, path)
-        yield from stage_checks(stage, benchmark.root, shard, inputs.layouts)
+        yield from stage_checks(stage, benchmark.root, shard, inputs.allocations)
 
     return make
 

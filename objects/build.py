@@ -1,4 +1,4 @@
-"""From a catalogue entry to the rows of the five object tables, and to kits; each step lives in its own module."""
+"""From a catalogue entry to the rows of the five object tables, and to object_models; each step lives in its own module."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxtyping import Float
 from objects.catalogue import ObjectSpec
 from objects.decomposition import Decomposition, DecompositionParams, decompose, mesh_sha256
 from objects.grasp_pool import GraspPoolParams, RatedGrasp, grasp_pool
-from objects.kit import ObjectKit, StablePose, TriangleMesh, kits_from_tables
+from objects.object_model import ObjectModel, StablePose, TriangleMesh, object_models_from_tables
 from objects.solids import solid_of
 from objects.stable_poses import StablePoseParams, stable_poses
 from tables.identity import rng_for
@@ -69,15 +69,15 @@ def build_object(spec: ObjectSpec, params: ObjectParams, seed: int) -> ObjectTab
     )
 
 
-def build_kits(specs: Iterable[ObjectSpec], params: ObjectParams, seed: int) -> dict[str, ObjectKit]:
-    """Kits of catalogue entries by id, through the same tables that a release holds."""
-    return kits_of([build_object(spec, params, seed) for spec in specs])
+def build_object_models(specs: Iterable[ObjectSpec], params: ObjectParams, seed: int) -> dict[str, ObjectModel]:
+    """Models of catalogue entries by id, through the same tables that a release holds."""
+    return object_models_of([build_object(spec, params, seed) for spec in specs])
 
 
-def kits_of(tables: Iterable[ObjectTables]) -> dict[str, ObjectKit]:
-    """Kits of built objects by id."""
+def object_models_of(tables: Iterable[ObjectTables]) -> dict[str, ObjectModel]:
+    """Models of built objects by id."""
     built = list(tables)
-    return kits_from_tables(
+    return object_models_from_tables(
         table_from_rows(OBJECTS, [row for t in built for row in t.objects]),
         table_from_rows(OBJECT_MESHES, [row for t in built for row in t.object_meshes]),
         table_from_rows(OBJECT_PARTS, [row for t in built for row in t.object_parts]),

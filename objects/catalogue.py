@@ -114,7 +114,7 @@ def load_catalogue(path: Path = PACKAGED_CATALOGUE) -> tuple[ObjectSpec, ...]:
 
 
 def catalogue_order() -> list[tuple[str, str]]:
-    """(object id, category) of the packaged catalogue, in file order: what scene layouts are made from."""
+    """(object id, category) of the packaged catalogue, in file order: what scene allocations are made from."""
     return [(spec.object_id, spec.category.value) for spec in load_catalogue()]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from objects.gripper import MAX_JAW_M, OPEN_CLEARANCE_M, gripper_boxes, open_jaw_m
-from objects.kit import TriangleMesh
+from objects.object_model import TriangleMesh
 
 # Twice what admission asks of open fingers, and how far beyond the contacts the shut pads must find the object, as admission has it.
 _FINGER_CLEARANCE_M = 0.001

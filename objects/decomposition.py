@@ -18,8 +18,8 @@ from scipy.spatial import ConvexHull
 from objects.catalogue import CanShape, CuboidShape, MugShape, ObjectSpec
 from objects.coacd_process import CoacdProcess
 from objects.errors import MeshError
-from objects.kit import TriangleMesh
 from objects.mug import floor_piece, handle_segments, wall_sectors
+from objects.object_model import TriangleMesh
 from objects.solids import Solid
 
 

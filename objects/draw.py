@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from objects.gripper import MAX_JAW_M, gripper_boxes, open_jaw_m
-from objects.kit import ObjectKit, PoolGrasp, TriangleMesh
+from objects.object_model import ObjectModel, PoolGrasp, TriangleMesh
 
 _COLOURS = [colormaps["tab10"](k)[:3] for k in range(10)]
 _LIGHT = np.array([0.3, -0.5, 0.81])
@@ -26,31 +26,31 @@ _TO_VIEWER = np.array(
 )
 
 
-def draw_object(kit: ObjectKit, path: Path) -> None:
+def draw_object(object_model: ObjectModel, path: Path) -> None:
     """Write the picture as PNG; the folder must exist."""
-    kinds = sorted({grasp.grasp_kind for grasp in kit.grasps})
+    kinds = sorted({grasp.grasp_kind for grasp in object_model.grasps})
     colour_of = {kind: _COLOURS[k % len(_COLOURS)] for k, kind in enumerate(kinds)}
     n_columns = 2 + len(kinds)
     figure = Figure(figsize=(4.2 * n_columns, 4.6))
-    parts = _panel(figure, n_columns, 1, f"{kit.object_id}: {len(kit.parts)} convex parts", _radius(kit, 0.6))
-    for k, part in enumerate(kit.parts):
+    parts = _panel(figure, n_columns, 1, f"{object_model.object_id}: {len(object_model.parts)} convex parts", _radius(object_model, 0.6))
+    for k, part in enumerate(object_model.parts):
         _add_mesh(parts, part, _COLOURS[k % len(_COLOURS)], alpha=1.0)
-    pool = _panel(figure, n_columns, 2, f"{len(kit.grasps)} grasps", _radius(kit, 1.0))
-    _add_mesh(pool, kit.mesh, (0.75, 0.75, 0.75), alpha=0.9)
-    for grasp in kit.grasps:
+    pool = _panel(figure, n_columns, 2, f"{len(object_model.grasps)} grasps", _radius(object_model, 1.0))
+    _add_mesh(pool, object_model.mesh, (0.75, 0.75, 0.75), alpha=0.9)
+    for grasp in object_model.grasps:
         pool.add_collection3d(Line3DCollection(_fork(grasp), colors=[colour_of[grasp.grasp_kind]], linewidths=0.8))
     for k, kind in enumerate(kinds):
-        own = [grasp for grasp in kit.grasps if grasp.grasp_kind == kind]
-        panel = _panel(figure, n_columns, 3 + k, f"{kind}: {len(own)}, grasp {own[0].grasp_id} shown", _radius(kit, 1.0))
-        _add_mesh(panel, kit.mesh, (0.75, 0.75, 0.75), alpha=0.9)
+        own = [grasp for grasp in object_model.grasps if grasp.grasp_kind == kind]
+        panel = _panel(figure, n_columns, 3 + k, f"{kind}: {len(own)}, grasp {own[0].grasp_id} shown", _radius(object_model, 1.0))
+        _add_mesh(panel, object_model.mesh, (0.75, 0.75, 0.75), alpha=0.9)
         _add_gripper(panel, own[0], colour_of[kind])
     figure.tight_layout()
     figure.savefig(path, dpi=80)
 
 
-def _radius(kit: ObjectKit, share: float) -> float:
+def _radius(object_model: ObjectModel, share: float) -> float:
     """Half the edge of a panel: the object, and room for a hand where grasps are shown."""
-    return max(0.09 * share, 0.55 * float(np.ptp(kit.mesh.vertices_m, axis=0).max()) + 0.06 * (share - 0.5))
+    return max(0.09 * share, 0.55 * float(np.ptp(object_model.mesh.vertices_m, axis=0).max()) + 0.06 * (share - 0.5))
 
 
 def _panel(figure: Figure, n_columns: int, position: int, title: str, radius_m: float) -> Any:

@@ -20,7 +20,7 @@ from objects.contacts import ContactPairs, antipodal_pairs, perpendicular, sharp
 from objects.errors import GraspError
 from objects.grasp_kinds import NO_KIND, grasp_kinds
 from objects.gripper import MAX_JAW_M, OPEN_CLEARANCE_M
-from objects.kit import PoolGrasp, StablePose, TriangleMesh
+from objects.object_model import PoolGrasp, StablePose, TriangleMesh
 from tables.identity import rng_for
 from tables.vocabulary import Category
 

@@ -1,4 +1,4 @@
-"""The Panda gripper as a grasp sees it: jaw limits and boxes around hand and fingers; the arm is pipelines.robot's.
+"""The Panda gripper as a grasp sees it: jaw limits and boxes around hand and fingers; the arm is pipelines.engines.robot's.
 
 TCP frame: origin between the finger pads, 0.1034 m from the hand frame, z along the approach, y along the jaw. Finger boxes are the
 collision primitives of franka_description (Apache-2.0), the pad exactly, the three boxes behind it joined to one.

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.panel import Panel
 from rich.table import Table
 
-from objects.build import ObjectParams, ObjectTables, build_object, kits_of
+from objects.build import ObjectParams, ObjectTables, build_object, object_models_of
 from objects.catalogue import PACKAGED_CATALOGUE, ObjectSpec, load_catalogue
 from objects.draw import draw_object
 from objects.errors import CatalogueError, ObjectError
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.png is not None:
             options.png.mkdir(parents=True, exist_ok=True)
             picture = options.png / f"{spec.object_id}.png"
-            draw_object(kits_of([built])[spec.object_id], picture)
+            draw_object(object_models_of([built])[spec.object_id], picture)
             out.print(f"picture: {picture}", markup=False, soft_wrap=True)
     if n_failed:
         err.print(f"{n_failed} of {len(specs)} objects failed", style="red")

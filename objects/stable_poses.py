@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 
 from objects.catalogue import ObjectSpec
 from objects.errors import StablePoseError
-from objects.kit import StablePose
+from objects.object_model import StablePose
 from tables.vocabulary import Category, Symmetry
 
 

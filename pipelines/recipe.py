@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from objects.build import ObjectParams
-from pipelines.execution_labels import ExecutionParams
-from pipelines.grasp_admission import AdmissionParams
-from pipelines.physics.camera import CameraParams
-from pipelines.physics.world import PhysicsParams
-from pipelines.pick_lift import PickLiftParams
-from pipelines.planning.trajectory import MotionParams
-from pipelines.planning_labels import PlanningParams
-from pipelines.scene_sampling import SceneSamplingParams
+from pipelines.engines.physics.world import PhysicsParams
+from pipelines.engines.planning.trajectory import MotionParams
+from pipelines.grasps.admission import AdmissionParams
+from pipelines.grasps.pick_lift import PickLiftParams
+from pipelines.labels.execution import ExecutionParams
+from pipelines.labels.planning import PlanningParams
+from pipelines.scenes.points import CameraParams
+from pipelines.scenes.sampling import SceneSamplingParams
 
 DEFAULT_RECIPE = Path(__file__).with_name("recipe.toml")
 FAMILIES = ("mini", "full")

@@ -10,19 +10,20 @@ from functools import lru_cache
 import numpy as np
 import pyarrow as pa
 
-from objects.kit import ObjectKit
-from pipelines.candidate_pairing import candidate_pair_rows
-from pipelines.execution_labels import execution_rows
-from pipelines.grasp_admission import admission_rows
-from pipelines.layout import SceneLayout
-from pipelines.physics.camera import scene_point_rows
-from pipelines.pick_lift import pick_lift_rows
-from pipelines.planning.collision import CollisionModel
-from pipelines.planning_labels import planning_rows
-from pipelines.policy_features import policy_feature_rows
+from objects.object_model import ObjectModel
+from pipelines.candidates.pairing import candidate_pair_rows
+from pipelines.candidates.policy_features import policy_feature_rows
+from pipelines.codecs import Row, admitted_grasps, lifted_grasps, plan_in, scenes_from_tables
+from pipelines.engines.planning.collision import CollisionModel
+from pipelines.grasps.admission import admission_rows
+from pipelines.grasps.pick_lift import pick_lift_rows
+from pipelines.labels.execution import execution_rows
+from pipelines.labels.planning import planning_rows
 from pipelines.recipe import Recipe
-from pipelines.scene import Row, Scene, admitted_grasps, lifted_grasps, plan_in, scenes_from_tables
-from pipelines.scene_sampling import sample_scene
+from pipelines.scenes.allocation import SceneAllocation
+from pipelines.scenes.points import scene_point_rows
+from pipelines.scenes.sampling import sample_scene
+from pipelines.values import Scene
 from tables import schemas as s
 from tables.columns import TableSchema
 from tables.identity import parse_candidate_id
@@ -36,8 +37,8 @@ class Unit:
     """What one unit of work is given: a scene and what is known of it so far, narrowed to one grasp where a stage splits by grasp."""
 
     recipe: Recipe
-    kit: ObjectKit
-    layout: SceneLayout
+    object_model: ObjectModel
+    allocation: SceneAllocation
     rows: SceneRows
     grasp_id: int | None = None
 
@@ -64,44 +65,46 @@ class Stage:
 
 
 def _sample(unit: Unit) -> UnitResult:
-    recipe, layout = unit.recipe, unit.layout
+    recipe, allocation = unit.recipe, unit.allocation
     start = time.process_time_ns()
-    tables = sample_scene(unit.kit, layout.scene_id, layout.n_obstacles, recipe.scene_sampling, recipe.physics, recipe.seed)
+    tables = sample_scene(
+        unit.object_model, allocation.scene_id, allocation.n_obstacles, recipe.scene_sampling, recipe.physics, recipe.seed
+    )
     rows = {"scenes": tables.scenes, "scene_attempts": tables.scene_attempts, "obstacles": tables.obstacles, "targets": tables.targets}
-    return UnitResult(rows, [_timing("scenes", layout.scene_id, start)])
+    return UnitResult(rows, [_timing("scenes", allocation.scene_id, start)])
 
 
-def _see(unit: Unit) -> UnitResult:
+def _render_points(unit: Unit) -> UnitResult:
     start = time.process_time_ns()
-    rows = scene_point_rows(unit.kit, _scene(unit), unit.recipe.camera, unit.recipe.seed)
-    return UnitResult({"scene_points": rows}, [_timing("scene_points", unit.layout.scene_id, start)])
+    rows = scene_point_rows(unit.object_model, _scene(unit), unit.recipe.camera, unit.recipe.seed)
+    return UnitResult({"scene_points": rows}, [_timing("scene_points", unit.allocation.scene_id, start)])
 
 
 def _admit(unit: Unit) -> UnitResult:
     start = time.process_time_ns()
-    rows = admission_rows(unit.kit, _scene(unit), unit.recipe.grasp_admission)
-    return UnitResult({"grasp_admission": rows}, [_timing("grasp_admission", unit.layout.scene_id, start)])
+    rows = admission_rows(unit.object_model, _scene(unit), unit.recipe.grasp_admission)
+    return UnitResult({"grasp_admission": rows}, [_timing("grasp_admission", unit.allocation.scene_id, start)])
 
 
 def _lift(unit: Unit) -> UnitResult:
     start = time.process_time_ns()
     recipe = unit.recipe
     admitted = [grasp for grasp in admitted_grasps(unit.rows["grasp_admission"]) if grasp.grasp_id == unit.grasp_id]
-    rows = pick_lift_rows(unit.kit, _scene(unit), admitted, recipe.pick_lift, recipe.motion, recipe.physics)
-    return UnitResult({"pick_lift": rows}, [_timing("pick_lift", f"{unit.layout.scene_id}-g{unit.grasp_id:02d}", start)])
+    rows = pick_lift_rows(unit.object_model, _scene(unit), admitted, recipe.pick_lift, recipe.motion, recipe.physics)
+    return UnitResult({"pick_lift": rows}, [_timing("pick_lift", f"{unit.allocation.scene_id}-g{unit.grasp_id:02d}", start)])
 
 
 def _pair(unit: Unit) -> UnitResult:
     start = time.process_time_ns()
-    rows = candidate_pair_rows(unit.layout, _scene(unit), lifted_grasps(unit.rows["pick_lift"]))
-    return UnitResult({"candidate_pairs": rows}, [_timing("candidate_pairs", unit.layout.scene_id, start)])
+    rows = candidate_pair_rows(unit.allocation, _scene(unit), lifted_grasps(unit.rows["pick_lift"]))
+    return UnitResult({"candidate_pairs": rows}, [_timing("candidate_pairs", unit.allocation.scene_id, start)])
 
 
 def _judge_cheaply(unit: Unit) -> UnitResult:
     scene = _scene(unit)
     grasp_ids = [grasp.grasp_id for grasp in lifted_grasps(unit.rows["pick_lift"])]
     rows, timings = policy_feature_rows(
-        unit.kit, scene, grasp_ids, [target.target_id for target in scene.targets], unit.recipe.planning.n_q7
+        unit.object_model, scene, grasp_ids, [target.target_id for target in scene.targets], unit.recipe.planning.n_q7
     )
     return UnitResult({"policy_features": rows}, timings)
 
@@ -112,8 +115,8 @@ def _plan(unit: Unit) -> UnitResult:
     labels, plans, timings = [], [], []
     for target in scene.targets:
         start = time.process_time_ns()
-        model = _collision_model(_ByIdentity(scene.scene_id, scene, unit.kit))
-        label, plan = planning_rows(unit.kit, scene, grasp, [target.target_id], recipe.planning, recipe.motion, recipe.seed, model)
+        model = _collision_model(_ByIdentity(scene.scene_id, scene, unit.object_model))
+        label, plan = planning_rows(unit.object_model, scene, grasp, [target.target_id], recipe.planning, recipe.motion, recipe.seed, model)
         labels += label
         plans += plan
         timings.append(_timing("planning_labels", label[0]["candidate_id"], start))
@@ -125,7 +128,7 @@ def _execute(unit: Unit) -> UnitResult:
     (grasp,) = (grasp for grasp in lifted_grasps(unit.rows["pick_lift"]) if grasp.grasp_id == unit.grasp_id)
     plans = {parse_candidate_id(row["candidate_id"]).target_id: plan_in(row) for row in unit.rows["plans"]}
     rows, timings, start = [], [], time.process_time_ns()
-    for row in execution_rows(unit.kit, scene, grasp, plans, recipe.execution, recipe.motion, recipe.physics):
+    for row in execution_rows(unit.object_model, scene, grasp, plans, recipe.execution, recipe.motion, recipe.physics):
         rows.append(row)
         timings.append(_timing("execution_labels", row["candidate_id"], start))
         start = time.process_time_ns()
@@ -146,7 +149,7 @@ _SCENE = (s.SCENES, s.OBSTACLES, s.TARGETS)
 
 STAGES = (
     Stage("scenes", "2", (), (s.SCENES, s.SCENE_ATTEMPTS, s.OBSTACLES, s.TARGETS), ("scene_sampling", "physics"), _sample),
-    Stage("scene_points", "1", _SCENE, (s.SCENE_POINTS,), ("camera",), _see),
+    Stage("scene_points", "1", _SCENE, (s.SCENE_POINTS,), ("camera",), _render_points),
     Stage("grasp_admission", "1", _SCENE, (s.GRASP_ADMISSION,), ("grasp_admission",), _admit),
     Stage("pick_lift", "2", (*_SCENE, s.GRASP_ADMISSION), (s.PICK_LIFT,), ("pick_lift", "motion", "physics"), _lift, _admitted_ids),
     Stage("candidate_pairs", "1", (*_SCENE, s.PICK_LIFT), (s.CANDIDATE_PAIRS,), (), _pair),
@@ -175,7 +178,7 @@ STAGE = {stage.name: stage for stage in STAGES}
 
 def _scene(unit: Unit) -> Scene:
     tables = [table_from_rows(schema, unit.rows[schema.name]) for schema in _SCENE]
-    return scenes_from_tables(*tables)[unit.layout.scene_id]
+    return scenes_from_tables(*tables)[unit.allocation.scene_id]
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,12 +187,12 @@ class _ByIdentity:
 
     scene_id: str
     scene: Scene
-    kit: ObjectKit
+    object_model: ObjectModel
 
     def _contents(self) -> tuple[bytes, ...]:
         scene = self.scene
         poses = [scene.T_base_object, *(o.T_base_obstacle for o in scene.obstacles), *(o.size_m for o in scene.obstacles)]
-        return tuple(np.ascontiguousarray(part).tobytes() for part in (*poses, *(p.vertices_m for p in self.kit.parts)))
+        return tuple(np.ascontiguousarray(part).tobytes() for part in (*poses, *(p.vertices_m for p in self.object_model.parts)))
 
     def __hash__(self) -> int:
         return hash((self.scene_id, self._contents()))
@@ -201,7 +204,7 @@ class _ByIdentity:
 @lru_cache(maxsize=1)
 def _collision_model(key: _ByIdentity) -> CollisionModel:
     """A worker's units come scene by scene: building the model once a scene instead of once a grasp saves 11 ms a grasp."""
-    return CollisionModel(key.scene, key.kit)
+    return CollisionModel(key.scene, key.object_model)
 
 
 def _timing(stage: str, item_id: str, start_ns: int) -> Row:
@@ -219,11 +222,11 @@ def rows_by_scene(tables: Mapping[str, pa.Table], scene_ids: Sequence[str]) -> d
     return out
 
 
-def units_of(stage: Stage, recipe: Recipe, kit: ObjectKit, layout: SceneLayout, rows: SceneRows) -> list[Unit]:
+def units_of(stage: Stage, recipe: Recipe, object_model: ObjectModel, allocation: SceneAllocation, rows: SceneRows) -> list[Unit]:
     """The units of one scene: one, or one a grasp; a grasp's unit carries that grasp's plans only."""
     if stage.grasp_ids is None:
-        return [Unit(recipe, kit, layout, rows)]
-    return [Unit(recipe, kit, layout, {**rows, **_plans_of(rows, grasp)}, grasp) for grasp in stage.grasp_ids(rows)]
+        return [Unit(recipe, object_model, allocation, rows)]
+    return [Unit(recipe, object_model, allocation, {**rows, **_plans_of(rows, grasp)}, grasp) for grasp in stage.grasp_ids(rows)]
 
 
 def _plans_of(rows: SceneRows, grasp_id: int) -> dict[str, list[Row]]:

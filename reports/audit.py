@@ -1,6 +1,6 @@
 """Report of the audits of the planning labels: how many hold under an independent or finer look, and which do not.
 
-Making the audits is pipelines.audits'; how labels hold under changes of the physics is reports.repeatability's.
+Making the audits is pipelines.proofs.audits'; how labels hold under changes of the physics is reports.repeatability's.
 """
 
 from __future__ import annotations

@@ -14,13 +14,14 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from objects.gripper import gripper_boxes, open_jaw_m
-from objects.kit import ObjectKit, TriangleMesh, kits_from_tables
-from pipelines.filmstrip import render_execution_frames
-from pipelines.physics.camera import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, render_scene, shrunk
-from pipelines.physics.renderer import Renderer, View
+from objects.object_model import ObjectModel, TriangleMesh, object_models_from_tables
+from pipelines.codecs import Row, lifted_grasps, plan_in, pose_in, rows_by, scenes_from_tables
+from pipelines.engines.robot.geometry import moved
+from pipelines.pictures.filmstrip import render_execution_frames
+from pipelines.pictures.renderer import Renderer, View
+from pipelines.pictures.views import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, render_scene, shrunk
 from pipelines.recipe import Recipe
-from pipelines.robot.geometry import moved
-from pipelines.scene import LiftedGrasp, Row, Scene, lifted_grasps, plan_in, pose_in, rows_by, scenes_from_tables
+from pipelines.values import LiftedGrasp, Scene
 from reports.report import Report
 from splits.frames import frame_of
 from tables.identity import order_key, parse_candidate_id
@@ -54,15 +55,17 @@ def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe, *, tier: str,
         recipe: what the labels were made with; films run each execution again.
         n_films: filmstrips of each execution status, chosen by the hash of the candidate id.
     """
-    kits = kits_from_tables(*(tables[name] for name in ("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool")))
+    object_models = object_models_from_tables(
+        *(tables[name] for name in ("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool"))
+    )
     scenes = scenes_from_tables(tables["scenes"], tables["obstacles"], tables["targets"])
     grasps = rows_by(tables["grasps"], "scene_id")
-    shown = [kits[name] for name in sorted({scene.object_id for scene in scenes.values()})]
+    shown = [object_models[name] for name in sorted({scene.object_id for scene in scenes.values()})]
     figures = {
-        "gallery-objects": _sheet([tile for kit in shown for tile in _object_tiles(kit)], 6),
-        "gallery-title": _sheet([_title_tile(scenes, kits, grasps)], 1),
-        "gallery-scenes": _sheet([_scene_tile(scenes[name], kits) for name in sorted(scenes)[:_N_SCENES]], 4),
-        "gallery-grasps": _sheet([_grasp_tile(scene, kits, grasps[scene.scene_id]) for scene in _one_an_object(scenes)], 5),
+        "gallery-objects": _sheet([tile for object_model in shown for tile in _object_tiles(object_model)], 6),
+        "gallery-title": _sheet([_title_tile(scenes, object_models, grasps)], 1),
+        "gallery-scenes": _sheet([_scene_tile(scenes[name], object_models) for name in sorted(scenes)[:_N_SCENES]], 4),
+        "gallery-grasps": _sheet([_grasp_tile(scene, object_models, grasps[scene.scene_id]) for scene in _one_an_object(scenes)], 5),
     }
     blocks = [
         f"# Gallery of tier {tier}",
@@ -75,26 +78,26 @@ def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe, *, tier: str,
         f"## Lifted grasps\n\nUp to {_N_GRASPS_DRAWN} of the grasps that passed the pick-lift check, at the object's initial pose.",
         "![Grasps](gallery-grasps.png)",
     ]
-    for status, strips in _films(tables, recipe, kits, scenes, grasps, n_films).items():
+    for status, strips in _films(tables, recipe, object_models, scenes, grasps, n_films).items():
         figures[f"gallery-{status}"] = _sheet(strips, _N_FRAMES)
         blocks += [f"## Executions that ended as {status.replace('_', ' ')}", f"![{status}](gallery-{status}.png)"]
     return Report("gallery", "\n\n".join(blocks) + "\n", figures)
 
 
-def _object_tiles(kit: ObjectKit) -> list[_Tile]:
+def _object_tiles(object_model: ObjectModel) -> list[_Tile]:
     """An object in its own frame: its convex parts, and its pool."""
-    size_m = float(np.ptp(kit.mesh.vertices_m, axis=0).max())
+    size_m = float(np.ptp(object_model.mesh.vertices_m, axis=0).max())
     grippers: dict[str, list[TriangleMesh]] = {}
-    for grasp in kit.grasps:
+    for grasp in object_model.grasps:
         glyph = _gripper_glyph(open_jaw_m(grasp.jaw_width_m), 0.08)
         placed = TriangleMesh(moved(grasp.T_object_grasp, glyph.vertices_m), glyph.faces)
         grippers.setdefault(grasp.grasp_kind, []).append(placed)
-    parts = [(part, _GRASP_RGBS[k % len(_GRASP_RGBS)]) for k, part in enumerate(kit.parts)]
+    parts = [(part, _GRASP_RGBS[k % len(_GRASP_RGBS)]) for k, part in enumerate(object_model.parts)]
     pool = [(_joined(grippers[kind]), _GRASP_RGBS[k % len(_GRASP_RGBS)]) for k, kind in enumerate(sorted(grippers))]
     kinds = ", ".join(f"{len(grippers[kind])} {kind}" for kind in sorted(grippers))
     return [
-        _Tile(_close_up(parts, 0.55 * size_m + 0.02), f"{kit.object_id}, convex parts: {len(kit.parts)}"),
-        _Tile(_close_up([(kit.mesh, OBJECT_RGB), *pool], 0.55 * size_m + 0.09), kinds),
+        _Tile(_close_up(parts, 0.55 * size_m + 0.02), f"{object_model.object_id}, convex parts: {len(object_model.parts)}"),
+        _Tile(_close_up([(object_model.mesh, OBJECT_RGB), *pool], 0.55 * size_m + 0.09), kinds),
     ]
 
 
@@ -121,35 +124,37 @@ def _one_an_object(scenes: Mapping[str, Scene]) -> list[Scene]:
     return list(first.values())
 
 
-def _scene_tile(scene: Scene, kits: Mapping[str, ObjectKit]) -> _Tile:
-    return _Tile(render_scene(kits[scene.object_id], scene, _TILE_PX), f"{scene.scene_id} {scene.object_id}")
+def _scene_tile(scene: Scene, object_models: Mapping[str, ObjectModel]) -> _Tile:
+    return _Tile(render_scene(object_models[scene.object_id], scene, _TILE_PX), f"{scene.scene_id} {scene.object_id}")
 
 
-def _grasp_tile(scene: Scene, kits: Mapping[str, ObjectKit], rows: Sequence[Row]) -> _Tile:
+def _grasp_tile(scene: Scene, object_models: Mapping[str, ObjectModel], rows: Sequence[Row]) -> _Tile:
     """The object in close-up with grippers at the lifted grasps, spread over the pool."""
     lifted = [row for row in sorted(rows, key=lambda row: row["grasp_id"]) if row["lift_status"] == "lifted"]
     drawn = lifted[:: max(1, len(lifted) // _N_GRASPS_DRAWN)][:_N_GRASPS_DRAWN]
     x, y, z = scene.T_base_object[:3, 3]
     view = View((x - 0.30, y + 0.38, z + 0.33), (x, y, z + 0.02), 40.0, 2 * _TILE_PX[0], 2 * _TILE_PX[1])
-    picture = _picture_of_grasps(scene, kits[scene.object_id], drawn, view, show_targets=False)
+    picture = _picture_of_grasps(scene, object_models[scene.object_id], drawn, view, show_targets=False)
     return _Tile(picture, f"{scene.object_id}: {len(drawn)} of {len(lifted)} lifted grasps")
 
 
-def _title_tile(scenes: Mapping[str, Scene], kits: Mapping[str, ObjectKit], grasps: Mapping[str, list[Row]]) -> _Tile:
+def _title_tile(scenes: Mapping[str, Scene], object_models: Mapping[str, ObjectModel], grasps: Mapping[str, list[Row]]) -> _Tile:
     """One scene with obstacles, its targets as ghosts and some grasps: what a ranker is asked about, in one picture."""
     scene = next((scenes[name] for name in sorted(scenes) if len(scenes[name].obstacles) == 2), scenes[min(scenes)])
     lifted = [row for row in sorted(grasps[scene.scene_id], key=lambda row: row["grasp_id"]) if row["lift_status"] == "lifted"]
     view = View((1.25, 0.62, 0.62), (0.44, 0.0, 0.04), 36.0, 2 * _TITLE_PX[0], 2 * _TITLE_PX[1])
     drawn = lifted[:: max(1, len(lifted) // 4)][:4]
-    picture = _picture_of_grasps(scene, kits[scene.object_id], drawn, view, show_targets=True)
+    picture = _picture_of_grasps(scene, object_models[scene.object_id], drawn, view, show_targets=True)
     return _Tile(picture, f"{scene.scene_id} {scene.object_id}: object blue, obstacles brown, targets green, {len(drawn)} of its grasps")
 
 
-def _picture_of_grasps(scene: Scene, kit: ObjectKit, rows: Sequence[Row], view: View, *, show_targets: bool) -> UInt8[np.ndarray, "h w 3"]:
-    widths_m = {grasp.grasp_id: grasp.jaw_width_m for grasp in kit.grasps}
+def _picture_of_grasps(
+    scene: Scene, object_model: ObjectModel, rows: Sequence[Row], view: View, *, show_targets: bool
+) -> UInt8[np.ndarray, "h w 3"]:
+    widths_m = {grasp.grasp_id: grasp.jaw_width_m for grasp in object_model.grasps}
     with Renderer() as renderer:
         add_table(renderer)
-        renderer.add_mesh(kit.mesh, scene.T_base_object, OBJECT_RGB)
+        renderer.add_mesh(object_model.mesh, scene.T_base_object, OBJECT_RGB)
         for obstacle in scene.obstacles:
             renderer.add_box(obstacle.size_m, obstacle.T_base_obstacle, OBSTACLE_RGB)
         for k, row in enumerate(rows):
@@ -157,7 +162,7 @@ def _picture_of_grasps(scene: Scene, kit: ObjectKit, rows: Sequence[Row], view: 
             renderer.add_mesh(glyph, pose_in(row, "grasp"), _GRASP_RGBS[k % len(_GRASP_RGBS)])
         picture = renderer.photograph(view).rgb.astype(np.float64)
         for target in scene.targets if show_targets else ():
-            renderer.add_mesh(kit.mesh, target.T_base_target, GHOST_RGB)
+            renderer.add_mesh(object_model.mesh, target.T_base_target, GHOST_RGB)
         picture += _GHOST_OPACITY * (renderer.photograph(view).rgb - picture)
     return shrunk(picture)
 
@@ -179,7 +184,7 @@ def _gripper_glyph(jaw_m: float, thickness: float = 0.25) -> TriangleMesh:
 def _films(
     tables: Mapping[str, pa.Table],
     recipe: Recipe,
-    kits: Mapping[str, ObjectKit],
+    object_models: Mapping[str, ObjectModel],
     scenes: Mapping[str, Scene],
     grasps: Mapping[str, list[Row]],
     n_films: int,
@@ -194,7 +199,7 @@ def _films(
     wanted = {name for names in chosen.values() for name in names}
     plans = {row["candidate_id"]: row for row in tables["plans"].to_pylist() if row["candidate_id"] in wanted}
     return {
-        status: [tile for name in names for tile in _film(name, plans[name], recipe, kits, scenes, grasps)]
+        status: [tile for name in names for tile in _film(name, plans[name], recipe, object_models, scenes, grasps)]
         for status, names in chosen.items()
     }
 
@@ -203,7 +208,7 @@ def _film(
     candidate_id: str,
     plan: Row,
     recipe: Recipe,
-    kits: Mapping[str, ObjectKit],
+    object_models: Mapping[str, ObjectModel],
     scenes: Mapping[str, Scene],
     grasps: Mapping[str, list[Row]],
 ) -> list[_Tile]:
@@ -211,7 +216,7 @@ def _film(
     scene = scenes[candidate.scene_id]
     grasp = _lifted(grasps[candidate.scene_id], candidate.grasp_id)
     _, frames = render_execution_frames(
-        kits[scene.object_id],
+        object_models[scene.object_id],
         scene,
         grasp,
         candidate.target_id,

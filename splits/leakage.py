@@ -180,7 +180,7 @@ def _close(
 
 
 def _turn_rad(R_a: Float[np.ndarray, "*n 3 3"], R_b: Float[np.ndarray, "*n 3 3"], symmetry: Symmetry) -> Float[np.ndarray, "*n"]:
-    """Smallest turn between orientations modulo symmetry, in [0, pi]; the batch form of what an object kit computes for one pair."""
+    """Smallest turn between orientations modulo symmetry, in [0, pi]; the batch form of what `ObjectModel` computes for one pair."""
     if symmetry is Symmetry.REVOLUTION_Z:
         z_a, z_b = R_a[..., :, 2], R_b[..., :, 2]
         return np.asarray(np.arctan2(np.linalg.norm(np.cross(z_a, z_b), axis=-1), np.sum(z_a * z_b, axis=-1)))

@@ -1,4 +1,4 @@
-"""Small scenes and objects for tests, built by hand; the real ones are pipelines.scene_sampling's and objects.build's."""
+"""Small scenes and objects for tests, built by hand; the real ones are pipelines.scenes.sampling's and objects.build's."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from objects.kit import ObjectKit, PoolGrasp, StablePose, TriangleMesh
-from pipelines.robot.arm import fk, follow_line
-from pipelines.scene import AdmittedGrasp, LiftedGrasp, Obstacle, Scene, Target
+from objects.object_model import ObjectModel, PoolGrasp, StablePose, TriangleMesh
+from pipelines.engines.robot.arm import fk, follow_line
+from pipelines.values import AdmittedGrasp, LiftedGrasp, Obstacle, Scene, Target
 from tables.poses import inverse
 from tables.vocabulary import Symmetry
 
@@ -36,7 +36,7 @@ def tcp_pose(point: Sequence[float], approach: Sequence[float], jaw: Sequence[fl
     return T
 
 
-def box_kit(size_m: Sequence[float] = (0.05, 0.06, 0.12), object_id: str = "cuboid_test") -> ObjectKit:
+def box_model(size_m: Sequence[float] = (0.05, 0.06, 0.12), object_id: str = "cuboid_test") -> ObjectModel:
     """A cuboid grasped from above and from four sides, each at three offsets."""
     sz = size_m[2]
     grasps = []
@@ -51,7 +51,7 @@ def box_kit(size_m: Sequence[float] = (0.05, 0.06, 0.12), object_id: str = "cubo
     return _kit(object_id, "cuboid", Symmetry.BOX, trimesh.creation.box(extents=size_m), sz / 2, grasps, widths)
 
 
-def can_kit(radius_m: float = 0.033, height_m: float = 0.12, object_id: str = "can_test") -> ObjectKit:
+def can_model(radius_m: float = 0.033, height_m: float = 0.12, object_id: str = "can_test") -> ObjectModel:
     """A can grasped from twelve sides at three heights, and from above."""
     grasps = []
     for height in (0.02, -0.02, 0.04):
@@ -64,16 +64,16 @@ def can_kit(radius_m: float = 0.033, height_m: float = 0.12, object_id: str = "c
 
 
 def panda_scene(
-    kit: ObjectKit, obstacles_xy: Sequence[tuple[float, float]] = (), targets: Sequence[Float[np.ndarray, "4 4"]] | None = None
+    object_model: ObjectModel, obstacles_xy: Sequence[tuple[float, float]] = (), targets: Sequence[Float[np.ndarray, "4 4"]] | None = None
 ) -> Scene:
     """The object upright in front of the robot, boxes around it, and eight upright targets unless others are given."""
-    z = float(kit.stable_poses[0].T_plane_object[2, 3])
+    z = float(object_model.stable_poses[0].T_plane_object[2, 3])
     if targets is None:
         spots = [(0.35, 0.3), (0.45, 0.3), (0.55, 0.3), (0.65, 0.1), (0.65, -0.1), (0.35, -0.3), (0.45, -0.3), (0.55, -0.3)]
         targets = [pose(x, y, z, 0.7 * k) for k, (x, y) in enumerate(spots)]
     return Scene(
         scene_id="full-0000",
-        object_id=kit.object_id,
+        object_id=object_model.object_id,
         stable_pose_id=0,
         T_base_object=pose(0.5, 0.0, z, 0.2),
         obstacles=tuple(
@@ -83,9 +83,9 @@ def panda_scene(
     )
 
 
-def ideally_lifted(kit: ObjectKit, scene: Scene, admitted: AdmittedGrasp, lift_m: float = 0.12) -> LiftedGrasp:
+def ideally_lifted(object_model: ObjectModel, scene: Scene, admitted: AdmittedGrasp, lift_m: float = 0.12) -> LiftedGrasp:
     """The state after a lift in which nothing slipped."""
-    pool = next(grasp for grasp in kit.grasps if grasp.grasp_id == admitted.grasp_id)
+    pool = next(grasp for grasp in object_model.grasps if grasp.grasp_id == admitted.grasp_id)
     T_end = admitted.T_base_grasp.copy()
     T_end[2, 3] += lift_m
     line = follow_line(admitted.T_base_grasp, T_end, admitted.grasp_q_rad)
@@ -103,10 +103,10 @@ def _kit(
     rest_z_m: float,
     grasps: Sequence[Float[np.ndarray, "4 4"]],
     widths_m: Sequence[float],
-) -> ObjectKit:
+) -> ObjectModel:
     body = TriangleMesh(np.asarray(mesh.vertices), np.asarray(mesh.faces))
     mass = 0.3
-    return ObjectKit(
+    return ObjectModel(
         object_id=object_id,
         category=category,
         symmetry=symmetry,

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from objects.build import ObjectParams, build_kits, build_object, inertia_kg_m2, kits_of
+from objects.build import ObjectParams, build_object, build_object_models, inertia_kg_m2, object_models_of
 from objects.catalogue import CanShape, CuboidShape, load_catalogue
 from objects.errors import ObjectError
 from objects.grasp_pool import GraspPoolParams
@@ -42,7 +42,7 @@ def test_inertia_does_not_depend_on_where_the_mesh_lies_and_scales_with_mass() -
     assert inertia_kg_m2(moved, 0.2) == pytest.approx(inertia_kg_m2(mesh, 0.1) * 2, rel=1e-6, abs=1e-9)
 
 
-def test_tables_of_a_mug_obey_their_schemas_and_come_back_as_a_kit(tmp_path: Path) -> None:
+def test_tables_of_a_mug_obey_their_schemas_and_come_back_as_a_model(tmp_path: Path) -> None:
     spec = spec_of(MUG_SHAPE, "cup", mass_kg=0.34)
     built = build_object(spec, QUICK, 3)
     for schema, rows in (
@@ -55,24 +55,24 @@ def test_tables_of_a_mug_obey_their_schemas_and_come_back_as_a_kit(tmp_path: Pat
         table = table_from_rows(schema, rows)
         write_table(schema, table, tmp_path / f"{schema.name}.parquet")
         assert content_hash(read_table(schema, tmp_path / f"{schema.name}.parquet", verify=True)) == content_hash(table)
-    kit = kits_of([built])["cup"]
+    object_model = object_models_of([built])["cup"]
     mesh = mug_mesh(MUG_SHAPE)
-    assert kit.mesh.vertices_m == pytest.approx(np.asarray(mesh.vertices), abs=0.0)
-    assert kit.com_m == pytest.approx(mesh.center_mass)
-    assert kit.mass_kg == 0.34
-    assert np.linalg.eigvalsh(kit.inertia_kg_m2).min() > 0.0
-    moments = np.linalg.eigvalsh(kit.inertia_kg_m2)
+    assert object_model.mesh.vertices_m == pytest.approx(np.asarray(mesh.vertices), abs=0.0)
+    assert object_model.com_m == pytest.approx(mesh.center_mass)
+    assert object_model.mass_kg == 0.34
+    assert np.linalg.eigvalsh(object_model.inertia_kg_m2).min() > 0.0
+    moments = np.linalg.eigvalsh(object_model.inertia_kg_m2)
     assert moments[0] + moments[1] >= moments[2], "no body has such moments"
-    assert len(kit.grasps) == 24
+    assert len(object_model.grasps) == 24
     row = built.objects[0]
     assert row["size_x_m"] == pytest.approx(0.118, rel=0.01)
     assert row["mesh_volume_m3"] == pytest.approx(mesh.volume)
-    assert row["min_graspable_width_m"] == min(grasp.jaw_width_m for grasp in kit.grasps)
+    assert row["min_graspable_width_m"] == min(grasp.jaw_width_m for grasp in object_model.grasps)
 
 
 def test_a_partly_filled_container_has_its_weight_where_the_catalogue_says() -> None:
-    kit = build_kits([spec_of(CuboidShape((0.06, 0.05, 0.15)), "carton", com_z_m=-0.03)], QUICK, 3)["carton"]
-    assert kit.com_m == pytest.approx([0.0, 0.0, -0.03])
+    object_model = build_object_models([spec_of(CuboidShape((0.06, 0.05, 0.15)), "carton", com_z_m=-0.03)], QUICK, 3)["carton"]
+    assert object_model.com_m == pytest.approx([0.0, 0.0, -0.03])
 
 
 def test_objects_without_cavity_have_no_fill() -> None:

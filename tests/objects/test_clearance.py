@@ -12,7 +12,7 @@ from jaxtyping import Float
 from objects.clearance import GripperClearance, clears_table, reach_chance
 from objects.contacts import surface_points
 from objects.gripper import MAX_JAW_M, gripper_boxes, open_jaw_m
-from objects.kit import TriangleMesh
+from objects.object_model import TriangleMesh
 from tests.builders import tcp_pose
 
 PALM_M, SKEW_M, APPROACH_M = 0.004, 0.004, 0.10

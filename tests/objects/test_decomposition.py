@@ -14,7 +14,7 @@ from objects.catalogue import CanShape, CuboidShape, load_catalogue
 from objects.coacd_process import CoacdProcess
 from objects.decomposition import Decomposition, DecompositionParams, decompose, fill_of
 from objects.errors import MeshError
-from objects.kit import TriangleMesh
+from objects.object_model import TriangleMesh
 from objects.solids import Solid, solid_of
 from tests.objects.shapes import MUG_SHAPE, mesh_spec, spec_of
 

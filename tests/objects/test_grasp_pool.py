@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import Float
 
-from objects.build import ObjectParams, build_object, kits_of
+from objects.build import ObjectParams, build_object, object_models_of
 from objects.catalogue import CuboidShape, load_catalogue
 from objects.clearance import GripperClearance, clears_table
 from objects.contacts import ray_exits, sharp_edge_distance, surface_points
 from objects.errors import GraspError
 from objects.grasp_pool import GRAVITY_M_S2, TRIED_FRICTION, GraspPoolParams, grasp_pool, pose_distance
-from objects.kit import ObjectKit, TriangleMesh
+from objects.object_model import ObjectModel, TriangleMesh
 from objects.stable_poses import StablePoseParams, stable_poses
 from pipelines.recipe import load_recipe
 from tests.objects.shapes import spec_of
@@ -40,40 +40,42 @@ KINDS = {
 
 
 @pytest.fixture(scope="module")
-def kits() -> dict[str, ObjectKit]:
+def object_models() -> dict[str, ObjectModel]:
     specs = {spec.object_id: spec for spec in load_catalogue()}
-    return kits_of([build_object(specs[object_id], OBJECTS, SEED) for object_id in IDS])
+    return object_models_of([build_object(specs[object_id], OBJECTS, SEED) for object_id in IDS])
 
 
-def poses(kit: ObjectKit) -> Float[np.ndarray, "n 4 4"]:
-    return np.array([grasp.T_object_grasp for grasp in kit.grasps])
+def poses(object_model: ObjectModel) -> Float[np.ndarray, "n 4 4"]:
+    return np.array([grasp.T_object_grasp for grasp in object_model.grasps])
 
 
-def widths(kit: ObjectKit) -> Float[np.ndarray, "n"]:
-    return np.array([grasp.jaw_width_m for grasp in kit.grasps])
+def widths(object_model: ObjectModel) -> Float[np.ndarray, "n"]:
+    return np.array([grasp.jaw_width_m for grasp in object_model.grasps])
 
 
-def mesh_of(kit: ObjectKit) -> trimesh.Trimesh:
-    return trimesh.Trimesh(kit.mesh.vertices_m, kit.mesh.faces, process=False)
+def mesh_of(object_model: ObjectModel) -> trimesh.Trimesh:
+    return trimesh.Trimesh(object_model.mesh.vertices_m, object_model.mesh.faces, process=False)
 
 
 @pytest.mark.parametrize("object_id", IDS)
-def test_a_pool_has_64_numbered_grasps_of_every_kind_the_object_has(kits: dict[str, ObjectKit], object_id: str) -> None:
-    kit = kits[object_id]
-    assert [grasp.grasp_id for grasp in kit.grasps] == list(range(64))
-    counts = Counter(grasp.grasp_kind for grasp in kit.grasps)
+def test_a_pool_has_64_numbered_grasps_of_every_kind_the_object_has(object_models: dict[str, ObjectModel], object_id: str) -> None:
+    object_model = object_models[object_id]
+    assert [grasp.grasp_id for grasp in object_model.grasps] == list(range(64))
+    counts = Counter(grasp.grasp_kind for grasp in object_model.grasps)
     assert set(counts) == KINDS[object_id]
     assert min(counts.values()) >= 4
-    T = poses(kit)
+    T = poses(object_model)
     assert np.einsum("nij,nik->njk", T[:, :3, :3], T[:, :3, :3]) == pytest.approx(np.tile(np.eye(3), (64, 1, 1)), abs=1e-9)
     assert np.linalg.det(T[:, :3, :3]) == pytest.approx(np.ones(64))
-    assert widths(kit).max() <= 0.075
+    assert widths(object_model).max() <= 0.075
 
 
 @pytest.mark.parametrize("object_id", IDS)
-def test_both_contacts_lie_between_the_pads_on_the_object_within_the_friction_cone(kits: dict[str, ObjectKit], object_id: str) -> None:
-    kit, mesh = kits[object_id], mesh_of(kits[object_id])
-    for T, width in zip(poses(kit), widths(kit), strict=True):
+def test_both_contacts_lie_between_the_pads_on_the_object_within_the_friction_cone(
+    object_models: dict[str, ObjectModel], object_id: str
+) -> None:
+    object_model, mesh = object_models[object_id], mesh_of(object_models[object_id])
+    for T, width in zip(poses(object_model), widths(object_model), strict=True):
         assert any(_is_held(mesh, T, width, depth) for depth in PARAMS.depths_m), f"{object_id}: the pads close on nothing"
 
 
@@ -95,65 +97,67 @@ def _is_held(mesh: trimesh.Trimesh, T: Float[np.ndarray, "4 4"], width_m: float,
 
 
 @pytest.mark.parametrize("object_id", IDS)
-def test_no_grasp_touches_the_object_with_palm_or_open_fingers(kits: dict[str, ObjectKit], object_id: str) -> None:
-    kit = kits[object_id]
-    probes, _ = surface_points(mesh_of(kit), 3000, np.random.default_rng(0))
-    clearance = GripperClearance(kit.parts, probes, PARAMS.palm_clearance_m, PARAMS.skew_m, PARAMS.approach_m)
+def test_no_grasp_touches_the_object_with_palm_or_open_fingers(object_models: dict[str, ObjectModel], object_id: str) -> None:
+    object_model = object_models[object_id]
+    probes, _ = surface_points(mesh_of(object_model), 3000, np.random.default_rng(0))
+    clearance = GripperClearance(object_model.parts, probes, PARAMS.palm_clearance_m, PARAMS.skew_m, PARAMS.approach_m)
     # Point distances with ten times the probes: a witness for the palm that knows nothing of the collision library.
-    assert np.all(clearance.may_be_free(poses(kit)))
-    assert all(clearance.is_free(T, float(width)) for T, width in zip(poses(kit), widths(kit), strict=True))
+    assert np.all(clearance.may_be_free(poses(object_model)))
+    assert all(clearance.is_free(T, float(width)) for T, width in zip(poses(object_model), widths(object_model), strict=True))
 
 
 @pytest.mark.parametrize("object_id", IDS)
-def test_no_two_grasps_are_the_same(kits: dict[str, ObjectKit], object_id: str) -> None:
-    T = poses(kits[object_id])
+def test_no_two_grasps_are_the_same(object_models: dict[str, ObjectModel], object_id: str) -> None:
+    T = poses(object_models[object_id])
     for k in range(1, 64):
         assert pose_distance(T[:k], T[k], PARAMS).min() >= PARAMS.min_distance
 
 
 @pytest.mark.parametrize("object_id", IDS)
-def test_every_prefix_serves_every_resting_pose_that_can_be_grasped(kits: dict[str, ObjectKit], object_id: str) -> None:
-    kit = kits[object_id]
+def test_every_prefix_serves_every_resting_pose_that_can_be_grasped(object_models: dict[str, ObjectModel], object_id: str) -> None:
+    object_model = object_models[object_id]
     serves = np.array(
         [
-            clears_table(rest.T_plane_object @ poses(kit), widths(kit), PARAMS.table_clearance_m, PARAMS.approach_m)
-            for rest in kit.stable_poses
+            clears_table(rest.T_plane_object @ poses(object_model), widths(object_model), PARAMS.table_clearance_m, PARAMS.approach_m)
+            for rest in object_model.stable_poses
         ]
     )
     graspable = serves.any(axis=1)
     # A flat box wider than the jaw lies on the only faces that the jaw could span: then, and only then, nothing serves the pose.
-    assert [r.resting for r, g in zip(kit.stable_poses, graspable, strict=True) if not g] == (
+    assert [r.resting for r, g in zip(object_model.stable_poses, graspable, strict=True) if not g] == (
         ["face_x"] if object_id == "cuboid_02" else []
     )
     assert serves[graspable].sum(axis=1).min() >= 8
     assert serves[graspable][:, :32].sum(axis=1).min() >= 4
-    kinds = Counter(grasp.grasp_kind for grasp in kit.grasps[:32])
+    kinds = Counter(grasp.grasp_kind for grasp in object_model.grasps[:32])
     assert set(kinds) == KINDS[object_id]
 
 
 @pytest.mark.parametrize("object_id", IDS)
-def test_each_grasp_lifts_the_object_off_some_resting_pose_without_turning_it(kits: dict[str, ObjectKit], object_id: str) -> None:
-    kit = kits[object_id]
+def test_each_grasp_lifts_the_object_off_some_resting_pose_without_turning_it(
+    object_models: dict[str, ObjectModel], object_id: str
+) -> None:
+    object_model = object_models[object_id]
     least = np.full(64, np.inf)
-    for rest in kit.stable_poses:
-        T = rest.T_plane_object @ poses(kit)
-        com = (rest.T_plane_object @ np.append(kit.com_m, 1.0))[:3]
-        torque = np.cross(com - T[:, :3, 3], [0.0, 0.0, -kit.mass_kg * GRAVITY_M_S2])
+    for rest in object_model.stable_poses:
+        T = rest.T_plane_object @ poses(object_model)
+        com = (rest.T_plane_object @ np.append(object_model.com_m, 1.0))[:3]
+        torque = np.cross(com - T[:, :3, 3], [0.0, 0.0, -object_model.mass_kg * GRAVITY_M_S2])
         about_jaw = np.abs(np.einsum("nj,nj->n", torque, T[:, :3, 1]))
-        clear = clears_table(T, widths(kit), PARAMS.table_clearance_m, PARAMS.approach_m)
+        clear = clears_table(T, widths(object_model), PARAMS.table_clearance_m, PARAMS.approach_m)
         least = np.minimum(least, np.where(clear, about_jaw, np.inf))
     # The pads' depth moves the TCP off the jaw line by up to 7 mm.
-    limit = (PARAMS.max_torque_n_m + PARAMS.max_torque_n_m_per_kg * kit.mass_kg) * kit.friction / TRIED_FRICTION
-    assert least.max() <= limit + 0.007 * kit.mass_kg * GRAVITY_M_S2
+    limit = (PARAMS.max_torque_n_m + PARAMS.max_torque_n_m_per_kg * object_model.mass_kg) * object_model.friction / TRIED_FRICTION
+    assert least.max() <= limit + 0.007 * object_model.mass_kg * GRAVITY_M_S2
 
 
-def test_kinds_are_where_the_fingers_are(kits: dict[str, ObjectKit]) -> None:
-    can = kits["can_06"]
+def test_kinds_are_where_the_fingers_are(object_models: dict[str, ObjectModel]) -> None:
+    can = object_models["can_06"]
     for grasp in can.grasps:
         jaw, approach = grasp.T_object_grasp[:3, 1], grasp.T_object_grasp[:3, 2]
         assert (grasp.grasp_kind == "caps") == (abs(jaw[2]) > 0.9)
         assert (grasp.grasp_kind == "top") == (approach[2] < -0.82 and abs(jaw[2]) < 0.9)
-    mug = kits["mug_10"]
+    mug = object_models["mug_10"]
     for grasp in mug.grasps:
         tcp, width = grasp.T_object_grasp[:3, 3], grasp.jaw_width_m
         radius = np.hypot(tcp[0], tcp[1])
@@ -166,16 +170,16 @@ def test_kinds_are_where_the_fingers_are(kits: dict[str, ObjectKit]) -> None:
         else:
             assert width < 0.03
             assert tcp[0] > 0.03
-    for grasp in kits["cuboid_09"].grasps:
+    for grasp in object_models["cuboid_09"].grasps:
         assert "xyz"[int(np.abs(grasp.T_object_grasp[:3, 1]).argmax())] == grasp.grasp_kind[-1]
 
 
-def test_hands_come_from_many_sides(kits: dict[str, ObjectKit]) -> None:
-    for object_id, kit in kits.items():
-        approach = poses(kit)[:, :3, 2]
+def test_hands_come_from_many_sides(object_models: dict[str, ObjectModel]) -> None:
+    for object_id, object_model in object_models.items():
+        approach = poses(object_model)[:, :3, 2]
         sides = {(int(np.abs(a).argmax()), bool(a[np.abs(a).argmax()] > 0)) for a in approach}
         assert len(sides) >= 3, object_id
-    heights = poses(kits["can_03"])[[g.grasp_kind == "side" for g in kits["can_03"].grasps], 2, 3]
+    heights = poses(object_models["can_03"])[[g.grasp_kind == "side" for g in object_models["can_03"].grasps], 2, 3]
     assert len(set(np.round(heights / 0.02))) >= 5, "side grasps at several heights"
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from objects.catalogue import CanShape, CuboidShape, load_catalogue
 from objects.errors import StablePoseError
-from objects.kit import StablePose
+from objects.object_model import StablePose
 from objects.solids import solid_of
 from objects.stable_poses import StablePoseParams, stable_poses
 from tests.objects.golden.regenerate import GOLDEN, table

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from objects.kit import ObjectKit
+from objects.object_model import ObjectModel
 from splits.leakage import LeakKind, _is_matching, _turn_rad, find_leaks
 from tables import schemas
 from tables.poses import matrix_of, pose_columns, pose_of
@@ -132,12 +132,12 @@ def test_the_object_turned_makes_another_scene(release_tables: dict[str, pa.Tabl
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(list(Symmetry)))
 @settings(max_examples=60, deadline=None)
-def test_turns_agree_with_the_object_kit(seed: int, symmetry: Symmetry) -> None:
+def test_turns_agree_with_the_object_model(seed: int, symmetry: Symmetry) -> None:
     """The batch form against the one pair at a time that validation uses."""
     R = Rotation.random(6, random_state=seed % 2**31).as_matrix()
-    kit = ObjectKit.__new__(ObjectKit)
-    object.__setattr__(kit, "symmetry", symmetry)
-    expected = [[kit.rotation_error_rad(a, b) for b in R[3:]] for a in R[:3]]
+    object_model = ObjectModel.__new__(ObjectModel)
+    object.__setattr__(object_model, "symmetry", symmetry)
+    expected = [[object_model.rotation_error_rad(a, b) for b in R[3:]] for a in R[:3]]
     # Both are arc tangents of sums of products of unit vectors: rounding only.
     np.testing.assert_allclose(_turn_rad(R[:3, None], R[None, 3:], symmetry), expected, atol=1e-9)
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipelines.layout import family_layout
+from pipelines.scenes.allocation import family_allocation
 from splits.scene_groups import SplitError, SplitParams, UniverseScene, split_rows
 from tables.identity import scenes_of_shard, shards_of_tier
 
@@ -16,7 +16,7 @@ SPLITS = ("train", "validation", "test")
 
 
 def universe_of(family: str) -> list[UniverseScene]:
-    return [(layout.scene_id, layout.category, layout.n_obstacles) for layout in family_layout(family, OBJECTS)]
+    return [(allocation.scene_id, allocation.category, allocation.n_obstacles) for allocation in family_allocation(family, OBJECTS)]
 
 
 def splits_of(universe: list[UniverseScene], seed: int = 42, params: SplitParams | None = None) -> dict[str, str]:

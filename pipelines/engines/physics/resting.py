@@ -1,0 +1,31 @@
+"""Does an object stay where it is put? Lone objects on a bare table; executing placements is rollout's and the stages'."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from pipelines.engines.physics.rollout import Phase, hold, pose_difference, settle
+from pipelines.engines.physics.world import PhysicsWorld
+
+
+def rest_drift(
+    world: PhysicsWorld, label: str, T_base_object: Float[np.ndarray, "4 4"], duration_s: float
+) -> tuple[Float[np.ndarray, "4 4"] | None, tuple[float, float]]:
+    """Leave the object alone for a while.
+
+    Args:
+        world: a world without robot; it is built anew.
+        label: names the run in errors.
+
+    Returns:
+        The pose it has then (None where it still moves), and how far it moved: metres, and radians modulo its symmetry.
+    """
+    world.rebuild(label, with_robot=False)
+    world.set_object(T_base_object)
+    hold(world, Phase.SETTLE, duration_s)
+    is_at_rest = settle(world, 2 * world.params.settled_checks * world.params.check_every_steps)
+    T = world.object_pose()
+    drift_m, _ = pose_difference(T_base_object, T)
+    drift_rad = world.object_model.rotation_error_rad(T_base_object[:3, :3], T[:3, :3])
+    return (T if is_at_rest else None), (drift_m, drift_rad)

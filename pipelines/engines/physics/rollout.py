@@ -1,0 +1,142 @@
+"""Motions run in a physics world: follow a trajectory, hold, close, open, settle, and watch what happens; verdicts are the stages'."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import StrEnum
+
+import numpy as np
+from jaxtyping import Float
+
+from pipelines.engines.physics.world import FINGER_LINKS, PhysicsWorld
+from pipelines.engines.planning.trajectory import Trajectory
+from tables.poses import rotation_angle_rad
+
+
+class Phase(StrEnum):
+    """What the arm is doing."""
+
+    APPROACH = "approach"
+    CLOSE = "close"
+    LIFT = "lift"
+    HOLD = "hold"
+    TRANSPORT = "transport"
+    DESCEND = "descend"
+    OPEN = "open"
+    RETREAT = "retreat"
+    SETTLE = "settle"
+
+
+# Called every `check_every_steps` steps; True ends the motion.
+Watch = Callable[[Phase], bool]
+
+
+def no_watch(phase: Phase) -> bool:
+    """Watch nothing."""
+    return False
+
+
+def move(world: PhysicsWorld, phase: Phase, trajectory: Trajectory, watch: Watch = no_watch) -> bool:
+    """Follow a trajectory from its second sample on, one sample a step; False where the watch ended it."""
+    every = world.params.check_every_steps
+    commands = zip(trajectory.q_rad[1:].tolist(), trajectory.qd_rad_s[1:].tolist(), strict=True)
+    for k, (q, qd) in enumerate(commands, 1):
+        world.command_arm(q, qd)
+        world.step()
+        if k % every == 0 and watch(phase):
+            return False
+    # The last sample commands zero speed only up to rounding; a held pose must be at rest.
+    world.command_arm(trajectory.q_rad[-1].tolist(), [0.0] * 7)
+    return not watch(phase)
+
+
+def hold(world: PhysicsWorld, phase: Phase, duration_s: float, watch: Watch = no_watch) -> bool:
+    """Let a duration pass under the present commands; False where the watch ended it."""
+    every = world.params.check_every_steps
+    for k in range(1, n_steps_of(world, duration_s) + 1):
+        world.step()
+        if k % every == 0 and watch(phase):
+            return False
+    return True
+
+
+def close_fingers(world: PhysicsWorld, max_s: float, watch: Watch = no_watch) -> bool:
+    """Close until both fingers press on the object in two checks in a row, then grip; False where they never do."""
+    every = world.params.check_every_steps
+    world.command_fingers(-world.params.finger_speed_m_s)
+    n_pressing = 0
+    for k in range(1, n_steps_of(world, max_s) + 1):
+        world.step()
+        if k % every == 0:
+            n_pressing = n_pressing + 1 if pressing_fingers(world) == 2 else 0
+            if watch(Phase.CLOSE):
+                return False
+            if n_pressing >= 2:
+                world.grip()
+                return True
+    return False
+
+
+def open_fingers(world: PhysicsWorld, jaw_m: float, max_s: float, watch: Watch = no_watch) -> bool:
+    """Open both fingers to half of `jaw_m` each and stop there; False where something kept them from it."""
+    every = world.params.check_every_steps
+    world.command_fingers(world.params.finger_speed_m_s)
+    for k in range(1, n_steps_of(world, max_s) + 1):
+        world.step()
+        # At 0.1 m/s a finger moves 0.4 mm a step: looking every other step overshoots by less than a millimetre.
+        if k % 2 == 0 and world.arm_state()[1].min() >= jaw_m / 2:
+            world.command_fingers(0.0)
+            return True
+        if k % every == 0 and watch(Phase.OPEN):
+            break
+    world.command_fingers(0.0)
+    return False
+
+
+def settle(world: PhysicsWorld, max_steps: int, watch: Watch = no_watch) -> bool:
+    """Step until the object is at rest in three checks in a row; False where it still moves after `max_steps`."""
+    rest = RestWatch(world)
+    for k in range(1, max_steps + 1):
+        world.step()
+        if k % world.params.check_every_steps == 0:
+            watch(Phase.SETTLE)
+            if rest.is_at_rest():
+                return True
+    return False
+
+
+class RestWatch:
+    """Tells whether the object has come to rest, asked every `check_every_steps` steps.
+
+    Speeds are means from one check to the next: an object that only trembles, some micrometres to and fro at every step as lying
+    hulls do in Bullet, is at rest although its speed at any moment is not 0.
+    """
+
+    def __init__(self, world: PhysicsWorld) -> None:
+        self._world = world
+        self._before = world.object_pose()
+        self._n_quiet = 0
+
+    def is_at_rest(self) -> bool:
+        """Whether this check and enough checks before it in a row found the object below both speed bounds."""
+        params, now = self._world.params, self._world.object_pose()
+        seconds = params.check_every_steps * params.dt_s
+        moved_m, turned_rad = pose_difference(self._before, now)
+        is_quiet = moved_m < params.settled_speed_m_s * seconds and turned_rad < params.settled_rate_rad_s * seconds
+        self._before, self._n_quiet = now, self._n_quiet + 1 if is_quiet else 0
+        return self._n_quiet >= params.settled_checks
+
+
+def pressing_fingers(world: PhysicsWorld) -> int:
+    """Number of fingers that press on the object: 0, 1 or 2."""
+    return sum(world.force_n("robot", "object", link) > 0.0 for link in FINGER_LINKS)
+
+
+def pose_difference(T_a: Float[np.ndarray, "4 4"], T_b: Float[np.ndarray, "4 4"]) -> tuple[float, float]:
+    """Distance of the origins in metres and angle between the axes in radians."""
+    return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])), float(rotation_angle_rad(T_a[:3, :3], T_b[:3, :3]))
+
+
+def n_steps_of(world: PhysicsWorld, duration_s: float) -> int:
+    """Whole steps in a duration, at least one."""
+    return max(1, round(duration_s / world.params.dt_s))

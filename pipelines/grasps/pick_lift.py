@@ -1,0 +1,123 @@
+"""Does the grasp lift the object? Approach, close, lift and hold in physics; what is tried was decided by grasp_admission."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Float
+
+from objects.gripper import open_jaw_m
+from objects.object_model import ObjectModel
+from pipelines.codecs import Row, joints_row, pose_row
+from pipelines.engines.physics.errors import PhysicsError
+from pipelines.engines.physics.rollout import Phase, close_fingers, hold, move, pose_difference, pressing_fingers
+from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
+from pipelines.engines.planning.trajectory import MotionParams, time_path
+from pipelines.engines.robot.arm import fk, follow_line
+from pipelines.values import AdmittedGrasp, Scene
+from tables.vocabulary import LiftStatus
+
+
+@dataclass(frozen=True, slots=True)
+class PickLiftParams:
+    """Bounds of the pick-lift check."""
+
+    lift_m: float = 0.12  # as high as an obstacle: what is held clears everything on the table
+    # At 0.1 m/s a finger crosses its whole 40 mm in 0.4 s; twice that leaves room for an object pushed to the middle.
+    max_close_s: float = 0.8
+    squeeze_s: float = 0.1  # grip force builds up before the arm moves
+    hold_s: float = 0.25  # 60 steps: a grasp that creeps shows it
+    max_approach_push_m: float = 0.01  # the open hand may touch what it is about to grasp, not shove it
+    min_rise_m: float = 0.10  # of the 0.12 m: the rest may be lost to closing and slip, which have their own bound
+    max_slip_m: float = 0.02
+    max_slip_rad: float = 0.2617993877991494  # 15 degrees
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0.0 < value < 10.0:
+                raise ValueError(f"{field.name} = {value}, must be in (0, 10)")
+        if self.min_rise_m >= self.lift_m:
+            raise ValueError(f"min_rise_m = {self.min_rise_m}, must be below lift_m = {self.lift_m}")
+
+
+def pick_lift_rows(
+    object_model: ObjectModel,
+    scene: Scene,
+    admitted: Sequence[AdmittedGrasp],
+    params: PickLiftParams,
+    motion: MotionParams,
+    physics: PhysicsParams,
+) -> list[Row]:
+    """Rows of `pick_lift`, one an admitted grasp; each grasp runs in a world built anew, so a row depends on its grasp only."""
+    with PhysicsWorld(object_model, scene.obstacles, physics) as world:
+        return [_pick_lift_row(world, scene, grasp, params, motion) for grasp in admitted]
+
+
+def _pick_lift_row(world: PhysicsWorld, scene: Scene, grasp: AdmittedGrasp, params: PickLiftParams, motion: MotionParams) -> Row:
+    label = f"{scene.scene_id}-g{grasp.grasp_id:02d}"
+    width_m = next((pool.jaw_width_m for pool in world.object_model.grasps if pool.grasp_id == grasp.grasp_id), None)
+    if width_m is None:
+        raise PhysicsError(f"{label}: grasp {grasp.grasp_id} is not in the pool of {world.object_model.object_id}")
+    opening_m = open_jaw_m(width_m)
+    T_lifted_grasp = grasp.T_base_grasp.copy()
+    T_lifted_grasp[2, 3] += params.lift_m
+    # Followed from the grasp outwards, as admission did: the very rows that it checked.
+    approach_q = _line(label, grasp, fk(grasp.pregrasp_q_rad))[::-1]
+    lift_q = _line(label, grasp, T_lifted_grasp)
+
+    world.rebuild(label, with_robot=True)
+    world.set_object(scene.T_base_object)
+    world.set_arm(grasp.pregrasp_q_rad, [opening_m / 2] * 2)
+    move(world, Phase.APPROACH, time_path(approach_q, motion, world.params.dt_s, stop_at_waypoints=False))
+    push_m, _ = pose_difference(world.object_pose(), scene.T_base_object)
+    if push_m > params.max_approach_push_m:
+        return _row(scene, grasp, LiftStatus.DISTURBED)
+    # Fingers that never both press are judged by what the lift shows.
+    close_fingers(world, params.max_close_s)
+    hold(world, Phase.CLOSE, params.squeeze_s)
+    T_tcp_closed, T_base_closed = world.inhand_pose(), world.object_pose()
+    move(world, Phase.LIFT, time_path(lift_q, motion, world.params.dt_s, stop_at_waypoints=False))
+    hold(world, Phase.HOLD, params.hold_s)
+    slip = pose_difference(T_tcp_closed, world.inhand_pose())
+    rise_m = float(world.object_pose()[2, 3] - T_base_closed[2, 3])
+    return _row(scene, grasp, _status(world, rise_m, slip, params), slip, world)
+
+
+def _status(world: PhysicsWorld, rise_m: float, slip: tuple[float, float], params: PickLiftParams) -> LiftStatus:
+    if rise_m < params.min_rise_m:
+        return LiftStatus.NOT_LIFTED
+    if pressing_fingers(world) < 2:
+        return LiftStatus.LOST_FINGER
+    if slip[0] > params.max_slip_m or slip[1] > params.max_slip_rad:
+        return LiftStatus.SLIPPED
+    return LiftStatus.LIFTED
+
+
+def _row(
+    scene: Scene, grasp: AdmittedGrasp, status: LiftStatus, slip: tuple[float, float] | None = None, world: PhysicsWorld | None = None
+) -> Row:
+    q, fingers_m = (None, (None, None)) if world is None else world.arm_state()
+    slip_m, slip_rad = slip or (None, None)
+    return {
+        "scene_id": scene.scene_id,
+        "grasp_id": grasp.grasp_id,
+        "lift_status": status.value,
+        "lift_slip_m": slip_m,
+        "lift_slip_rad": slip_rad,
+        **joints_row("lifted_q", q),
+        "lifted_finger_left_m": None if fingers_m[0] is None else float(fingers_m[0]),
+        "lifted_finger_right_m": None if fingers_m[1] is None else float(fingers_m[1]),
+        **pose_row("lifted", None if world is None else world.object_pose()),
+        **pose_row("inhand", None if world is None else world.inhand_pose()),
+    }
+
+
+def _line(label: str, grasp: AdmittedGrasp, T_end: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "m 7"]:
+    path = follow_line(grasp.T_base_grasp, T_end, grasp.grasp_q_rad)
+    if path is None:
+        end = T_end[:3, 3].round(3).tolist()
+        raise PhysicsError(f"{label}: the arm cannot follow the line from the grasp to {end} m that admission passed")
+    return path

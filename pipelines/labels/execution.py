@@ -1,0 +1,265 @@
+"""Does a planned placement survive physics? Carry, descend, release, retreat, settle and judge; plans are planning_labels'."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from objects.gripper import open_jaw_m
+from objects.object_model import ObjectModel
+from pipelines.codecs import Row, pose_row
+from pipelines.engines.physics.rollout import Phase, RestWatch, Watch, hold, move, open_fingers, pose_difference, settle
+from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
+from pipelines.engines.planning.trajectory import MotionParams, time_path
+from pipelines.values import LiftedGrasp, Plan, Scene
+from tables.identity import candidate_id_of
+from tables.vocabulary import ExecStatus, Perturbation, Symmetry
+
+
+@dataclass(frozen=True, slots=True)
+class ExecutionParams:
+    """How a placement is executed and what counts as a valid end."""
+
+    hold_s: float = 0.05  # contacts of the rebuilt world find their forces before the arm moves
+    max_open_s: float = 0.3  # 12 mm a finger take 0.12 s at 0.1 m/s
+    # Between opening and retreat: the object drops the release height (some mm, 40 ms) and comes to rest or does not.
+    release_wait_s: float = 0.1
+    # The retreat ends once the object rests and the hand is this far away: from here the hand only moves further, on a line that was
+    # planned free of everything.
+    clear_gap_m: float = 0.02
+    max_settle_steps: int = 480  # 2 s: what still moves then is rolling away
+    position_tolerance_m: float = 0.02
+    rotation_tolerance_rad: float = 0.17453292519943295  # 10 degrees
+    dropped_m: float = 0.05  # further from where the hand held it than a pad is long
+    slipped_m: float = 0.02  # the bounds of the pick-lift check
+    slipped_rad: float = 0.2617993877991494
+    # A 0.35 kg can stopped from 0.6 m/s. Touching in passing is less.
+    collision_impulse_n_s: float = 0.2
+    dragged_m: float = 0.01  # half the position tolerance: what the retreat may move
+    toppled_rad: float = 0.2617993877991494  # 15 degrees of tilt: beyond tolerance, and no face of a box is that close to another
+
+    def __post_init__(self) -> None:
+        for item in dataclasses.fields(self):
+            value = getattr(self, item.name)
+            if not 0.0 < value < 1e5:
+                raise ValueError(f"{item.name} = {value}, must be in (0, 1e5)")
+
+
+def execution_rows(
+    object_model: ObjectModel,
+    scene: Scene,
+    grasp: LiftedGrasp,
+    plans: Mapping[int, Plan],
+    params: ExecutionParams,
+    motion: MotionParams,
+    physics: PhysicsParams,
+) -> Iterator[Row]:
+    """Rows of `execution_labels` of one grasp, one a planned target, as they finish.
+
+    They share an engine, which takes 10 ms to start, and no state: the world is built anew for each.
+
+    Args:
+        plans: by target id.
+
+    Raises:
+        PhysicsError: the engine gave a pose that is not finite; names the candidate.
+    """
+    with PhysicsWorld(object_model, scene.obstacles, physics) as world:
+        for target_id in sorted(plans):
+            yield execute_candidate(world, scene, grasp, target_id, plans[target_id], params, motion)
+
+
+def execute_perturbed(
+    object_model: ObjectModel,
+    scene: Scene,
+    grasp: LiftedGrasp,
+    target_id: int,
+    plan: Plan,
+    perturbation: Perturbation,
+    params: ExecutionParams,
+    motion: MotionParams,
+    physics: PhysicsParams,
+) -> Row:
+    """The row of one candidate under a change that ought not to matter: longer hold, finer steps, other friction, or none."""
+    friction_scale = {Perturbation.FRICTION_UP: 1.05, Perturbation.FRICTION_DOWN: 0.95}.get(perturbation, 1.0)
+    if perturbation is Perturbation.HOLD:
+        params = dataclasses.replace(params, hold_s=0.10)
+    if perturbation is Perturbation.FINE_STEP:
+        # Twice the steps between checks too: what is measured is the step, not how often the outcome is looked at.
+        physics = dataclasses.replace(physics, dt_s=physics.dt_s / 2, check_every_steps=2 * physics.check_every_steps)
+        params = dataclasses.replace(params, max_settle_steps=2 * params.max_settle_steps)
+    with PhysicsWorld(object_model, scene.obstacles, physics, friction_scale) as world:
+        return execute_candidate(world, scene, grasp, target_id, plan, params, motion)
+
+
+def execute_candidate(
+    world: PhysicsWorld,
+    scene: Scene,
+    grasp: LiftedGrasp,
+    target_id: int,
+    plan: Plan,
+    params: ExecutionParams,
+    motion: MotionParams,
+    watch: Watch | None = None,
+) -> Row:
+    """The row of one candidate, run in `world` from the post-lift state.
+
+    Args:
+        watch: sees every phase every few steps (a trace, a film); cannot change the outcome.
+    """
+    candidate_id = candidate_id_of(scene.scene_id, target_id, grasp.grasp_id)
+    target = next(target for target in scene.targets if target.target_id == target_id)
+    monitor = _Monitor(world, grasp.T_tcp_object, params, watch)
+    _start(world, candidate_id, scene, grasp)
+    is_held = _carry(world, plan, params, motion, monitor)
+    T_release = world.object_pose()
+    drag_m = _let_go(world, grasp, plan, params, motion, monitor) if is_held else None
+    # From here on the arm touches nothing, or the object has left the hand: alone it settles at a tenth of the cost.
+    world.remove_robot()
+    is_settled = settle(world, params.max_settle_steps, monitor.film)
+    T_final = world.object_pose()
+
+    release = _error(world.object_model, T_release, target.T_base_target)
+    final = _error(world.object_model, T_final, target.T_base_target)
+    margin = 1.0 - max(final[0] / params.position_tolerance_m, final[1] / params.rotation_tolerance_rad)
+    status = _status(world, params, monitor, is_held, is_settled, margin, T_release, T_final, drag_m)
+    return {
+        "candidate_id": candidate_id,
+        "y_pipe": status is ExecStatus.SUCCESS,
+        "exec_status": status.value,
+        "final_position_error_m": final[0],
+        "final_rotation_error_rad": final[1],
+        "tolerance_margin": margin,
+        "transport_slip_m": monitor.slip_m,
+        "transport_slip_rad": monitor.slip_rad,
+        "release_position_error_m": release[0] if is_held else None,
+        "release_rotation_error_rad": release[1] if is_held else None,
+        "retreat_drag_m": drag_m,
+        "n_physics_steps": world.n_steps,
+        **pose_row("final", T_final),
+    }
+
+
+def _start(world: PhysicsWorld, candidate_id: str, scene: Scene, grasp: LiftedGrasp) -> None:
+    """The post-lift state from its saved numbers, gripping."""
+    world.rebuild(candidate_id, with_robot=True)
+    world.set_arm(grasp.lifted_q_rad, grasp.fingers_m.tolist())
+    world.set_object(grasp.T_base_lifted)
+    world.grip()
+
+
+def _carry(world: PhysicsWorld, plan: Plan, params: ExecutionParams, motion: MotionParams, monitor: _Monitor) -> bool:
+    """Hold, transport and descend; False where the object was dropped on the way."""
+    transport = time_path(plan.transport_q_rad, motion, world.params.dt_s, stop_at_waypoints=True)
+    descend = time_path(plan.descend_q_rad, motion, world.params.dt_s, stop_at_waypoints=False)
+    return (
+        hold(world, Phase.HOLD, params.hold_s, monitor.carried)
+        and move(world, Phase.TRANSPORT, transport, monitor.carried)
+        and move(world, Phase.DESCEND, descend, monitor.carried)
+    )
+
+
+def _let_go(world: PhysicsWorld, grasp: LiftedGrasp, plan: Plan, params: ExecutionParams, motion: MotionParams, monitor: _Monitor) -> float:
+    """Open and retreat; returns how far the object moved during the retreat, in metres."""
+    width_m = next(g.jaw_width_m for g in world.object_model.grasps if g.grasp_id == grasp.grasp_id)
+    open_fingers(world, open_jaw_m(width_m), params.max_open_s, monitor.released)
+    hold(world, Phase.OPEN, params.release_wait_s, monitor.released)
+    T_opened = world.object_pose()
+    retreat = time_path(plan.retreat_q_rad, motion, world.params.dt_s, stop_at_waypoints=False)
+    monitor.rest = RestWatch(world)
+    move(world, Phase.RETREAT, retreat, monitor.released)
+    return pose_difference(T_opened, world.object_pose())[0]
+
+
+@dataclass(slots=True)
+class _Monitor:
+    """What is measured on the way, every few steps."""
+
+    world: PhysicsWorld
+    T_tcp_object: Float[np.ndarray, "4 4"]
+    params: ExecutionParams
+    watch: Watch | None
+    slip_m: float = 0.0
+    slip_rad: float = 0.0
+    impulse_n_s: float = 0.0
+    is_touched_in_retreat: bool = False
+    rest: RestWatch | None = None
+
+    def carried(self, phase: Phase) -> bool:
+        """Slip and collisions while the object is held; True once it is dropped."""
+        slip_m, slip_rad = pose_difference(self.T_tcp_object, self.world.inhand_pose())
+        self.slip_m, self.slip_rad = max(self.slip_m, slip_m), max(self.slip_rad, slip_rad)
+        # The end of the descend sets the object down on the table: only what it hits on the way there is a collision.
+        self._collide("object", "obstacles" if phase is Phase.DESCEND else "everything")
+        self._collide("robot", "everything")
+        self.film(phase)
+        return slip_m > self.params.dropped_m
+
+    def released(self, phase: Phase) -> bool:
+        """Collisions of the arm, and whether it still touches the object while it retreats; True once it cannot any more."""
+        self._collide("robot", "everything")
+        self.film(phase)
+        if phase is not Phase.RETREAT:
+            return False
+        self.is_touched_in_retreat = self.is_touched_in_retreat or self.world.force_n("robot", "object") > 0.0
+        return self.rest is not None and self.rest.is_at_rest() and self.world.is_clear(self.params.clear_gap_m)
+
+    def film(self, phase: Phase) -> bool:
+        if self.watch is not None:
+            self.watch(phase)
+        return False
+
+    def _collide(self, body: str, others: str) -> None:
+        seconds = self.world.params.check_every_steps * self.world.params.dt_s
+        for name in self.world.fixed_bodies[0 if others == "everything" else 1 :]:
+            self.impulse_n_s += self.world.force_n(body, name) * seconds
+
+
+def _status(
+    world: PhysicsWorld,
+    params: ExecutionParams,
+    monitor: _Monitor,
+    is_held: bool,
+    is_settled: bool,
+    margin: float,
+    T_release: Float[np.ndarray, "4 4"],
+    T_final: Float[np.ndarray, "4 4"],
+    drag_m: float | None,
+) -> ExecStatus:
+    """A drop or a collision fails whatever the end; every other status says why the end is not valid."""
+    is_collided = monitor.impulse_n_s > params.collision_impulse_n_s
+    if is_held and not is_collided and is_settled and margin >= 0.0:
+        return ExecStatus.SUCCESS
+    (x0, x1), (y0, y1) = world.params.table_x_m, world.params.table_y_m
+    x, y, z = T_final[:3, 3]
+    reasons = (
+        (not is_held, ExecStatus.DROPPED),
+        (monitor.slip_m > params.slipped_m or monitor.slip_rad > params.slipped_rad, ExecStatus.SLIPPED),
+        (is_collided, ExecStatus.COLLIDED),
+        (not (x0 < x < x1 and y0 < y < y1 and z > 0.0), ExecStatus.OFF_TABLE),
+        (drag_m is not None and drag_m > params.dragged_m and monitor.is_touched_in_retreat, ExecStatus.DRAGGED),
+        (_tilt_rad(world.object_model, T_release, T_final) > params.toppled_rad, ExecStatus.TOPPLED),
+        (not is_settled, ExecStatus.NOT_SETTLED),
+    )
+    return next((status for applies, status in reasons if applies), ExecStatus.OFF_TARGET)
+
+
+def _error(
+    object_model: ObjectModel, T_base_object: Float[np.ndarray, "4 4"], T_base_target: Float[np.ndarray, "4 4"]
+) -> tuple[float, float]:
+    """Distance in metres and turn in radians, modulo the object's symmetry."""
+    distance_m, _ = pose_difference(T_base_object, T_base_target)
+    return distance_m, object_model.rotation_error_rad(T_base_object[:3, :3], T_base_target[:3, :3])
+
+
+def _tilt_rad(object_model: ObjectModel, T_a: Float[np.ndarray, "4 4"], T_b: Float[np.ndarray, "4 4"]) -> float:
+    """Change of the vertical as the object sees it; a can that rolls about its axis does not tilt."""
+    up_a, up_b = T_a[2, :3], T_b[2, :3]
+    if object_model.symmetry is Symmetry.REVOLUTION_Z:
+        return abs(math.acos(float(np.clip(up_a[2], -1.0, 1.0))) - math.acos(float(np.clip(up_b[2], -1.0, 1.0))))
+    return float(np.arctan2(np.linalg.norm(np.cross(up_a, up_b)), up_a @ up_b))

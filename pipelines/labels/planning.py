@@ -1,0 +1,201 @@
+"""Whether a lifted grasp can be carried to a target, put down and left, and by which motion; what physics makes of it is execution's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from objects.gripper import open_jaw_m
+from objects.object_model import ObjectModel
+from pipelines.codecs import Row, plan_columns
+from pipelines.engines.planning.bodies import hand_body
+from pipelines.engines.planning.clearance import path_clearance_m
+from pipelines.engines.planning.collision import CollisionModel
+from pipelines.engines.planning.planner import CountedChecks, SearchParams, path_samples, search_path
+from pipelines.engines.planning.trajectory import MotionParams, path_duration_s
+from pipelines.engines.robot.arm import QD_MAX_RAD_S, follow_line, ik
+from pipelines.values import LiftedGrasp, Plan, Scene
+from tables.identity import candidate_id_of, ompl_seed_for
+from tables.poses import inverse
+from tables.vocabulary import PlanStatus
+
+
+@dataclass(frozen=True, slots=True)
+class PlanningParams:
+    """How a placement is planned, and how finely it is checked."""
+
+    # Let go above the target: the held object needs its clearance of 1 mm above the table, and the arm tracks within 1 mm. From 3 mm it
+    # lands at 0.24 m/s; below 2 mm no place pose would be free.
+    release_height_m: float = 0.003
+    preplace_m: float = 0.10  # straight descend: what is set down beside an obstacle of 0.12 m comes down along it
+    retreat_m: float = 0.10  # straight retreat along the approach: longer than a finger
+    # Lines of 0.15 m can be followed from a narrow range of joint 7 only: 32 miss 7 plans in 3,240 candidates that 256 find, 128 miss 1.
+    n_q7: int = 128
+    max_goals: int = 512  # all: the nearest 16 lie so close that 4 in 1,000 labels were blocked for all of them but not for the next
+    line_step_m: float = 0.0025  # at 5 mm, 3-6 % of line verdicts flip
+    max_joint_jump_rad: float = 0.1  # a line step: 0.35 rad flips no label, but such lines take up to 11 s instead of 1.1
+    clearance_step_rad: float = 0.05  # between clearance samples of the transport: 2-4 cm at the TCP, about 30 samples, a tenth of the cost
+    search: SearchParams = field(default_factory=SearchParams)
+
+    def __post_init__(self) -> None:
+        bounds = {
+            "release_height_m": (0.002, 0.05), "preplace_m": (0.01, 0.4), "retreat_m": (0.01, 0.4), "n_q7": (1, 4096),
+            "max_goals": (1, 4096), "line_step_m": (1e-4, 0.0025), "max_joint_jump_rad": (0.01, 1.0), "clearance_step_rad": (0.001, 0.5),
+        }  # fmt: skip
+        for name, (lower, upper) in bounds.items():
+            if not lower <= getattr(self, name) <= upper:
+                raise ValueError(f"{name} = {getattr(self, name)}, must be in [{lower}, {upper}]")
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """Outcome of planning one candidate; the plan exists where the status is `solved`."""
+
+    status: PlanStatus
+    plan: Plan | None
+    n_goals: int
+    n_checks: int
+    used_search: bool
+
+
+def planning_rows(
+    object_model: ObjectModel,
+    scene: Scene,
+    grasp: LiftedGrasp,
+    target_ids: Sequence[int],
+    params: PlanningParams,
+    motion: MotionParams,
+    seed: int,
+    model: CollisionModel | None = None,
+) -> tuple[list[Row], list[Row]]:
+    """Rows of `planning_labels` and, for the solved candidates, of `plans`.
+
+    Args:
+        model: the scene's collision model if it exists already; nothing of its history enters a row.
+        seed: the recipe seed.
+    """
+    model = model or CollisionModel(scene, object_model)
+    labels, plans = [], []
+    for target_id in target_ids:
+        judgement = judge_candidate(object_model, scene, grasp, target_id, params, seed, model)
+        candidate_id = candidate_id_of(scene.scene_id, target_id, grasp.grasp_id)
+        labels.append({"candidate_id": candidate_id, **_label_columns(judgement, model, params, motion)})
+        if judgement.plan is not None:
+            plans.append({"candidate_id": candidate_id, **plan_columns(judgement.plan)})
+    return labels, plans
+
+
+def judge_candidate(
+    object_model: ObjectModel, scene: Scene, grasp: LiftedGrasp, target_id: int, params: PlanningParams, seed: int, model: CollisionModel
+) -> Judgement:
+    """Plan one candidate: cheap tests in the order of PlanStatus, then straight joint motion, then search.
+
+    Leaves the grasp's object attached to the model.
+    """
+    target = next(target for target in scene.targets if target.target_id == target_id)
+    jaw_m = open_jaw_m(next(pool.jaw_width_m for pool in object_model.grasps if pool.grasp_id == grasp.grasp_id))
+    T_base_object = target.T_base_target.copy()
+    T_base_object[2, 3] += params.release_height_m
+    model.attach(grasp.T_tcp_object, grasp.fingers_m)
+    model.place_object(T_base_object, jaw_m)
+    placement = _Placement(T_base_object @ inverse(grasp.T_tcp_object), jaw_m, grasp, model, params)
+    seed = ompl_seed_for(seed, "planning_labels", candidate_id_of(scene.scene_id, target_id, grasp.grasp_id))
+    status, plan = placement.solve(T_base_object, seed)
+    return Judgement(status, plan, placement.n_goals, placement.carrying.n_checks + placement.open.n_checks, placement.used_search)
+
+
+class _Placement:
+    """One candidate while it is being planned."""
+
+    def __init__(
+        self, T_base_place: Float[np.ndarray, "4 4"], jaw_m: float, grasp: LiftedGrasp, model: CollisionModel, params: PlanningParams
+    ) -> None:
+        self.T_base_place, self.jaw_m, self.grasp, self.model, self.params = T_base_place, jaw_m, grasp, model, params
+        self.carrying, self.open = CountedChecks(model.in_collision_holding), CountedChecks(model.in_collision_open)
+        self.n_goals = 0
+        self.used_search = False
+        self.furthest = PlanStatus.DESCEND_BLOCKED
+
+    def solve(self, T_base_object: Float[np.ndarray, "4 4"], seed: int) -> tuple[PlanStatus, Plan | None]:
+        surroundings, hand = self.model.surroundings, hand_body(self.jaw_m)
+        if surroundings.in_collision(hand, self.T_base_place) or surroundings.in_collision(self.model.object, T_base_object):
+            return PlanStatus.PLACE_COLLISION, None
+        solutions = ik(self.T_base_place, self.params.n_q7)
+        if not len(solutions):
+            return PlanStatus.NO_IK, None
+        goals = self._free_goals(solutions)
+        if not goals:
+            return PlanStatus.IK_COLLISION, None
+        q_start = self.grasp.lifted_q_rad
+        ends: list[tuple[Float[np.ndarray, "d 7"], Float[np.ndarray, "r 7"]]] = []
+        for descend, retreat in self._ends(goals):
+            if not ends and self.carrying.in_collision(q_start):
+                return PlanStatus.START_COLLISION, None
+            if self.carrying.is_free_edge(q_start, descend[0], self.params.search.edge_step_rad):
+                return PlanStatus.SOLVED, Plan(np.stack([q_start, descend[0]]), descend, retreat)
+            ends.append((descend, retreat))
+        if not ends:
+            return self.furthest, None
+        self.used_search = True
+        path = search_path(q_start, np.array([descend[0] for descend, _ in ends]), self.carrying, self.params.search, seed)
+        if path is None:
+            return PlanStatus.BUDGET_SPENT, None
+        reached = int(np.argmin([np.abs(descend[0] - path[-1]).max() for descend, _ in ends]))
+        return PlanStatus.SOLVED, Plan(path, *ends[reached])
+
+    def _free_goals(self, solutions: Float[np.ndarray, "k 7"]) -> list[Float[np.ndarray, "7"]]:
+        """The first free configurations at the place pose, soonest reached from the start first."""
+        order = np.argsort((np.abs(solutions - self.grasp.lifted_q_rad) / QD_MAX_RAD_S).max(axis=1), kind="stable")
+        goals = []
+        for q in solutions[order]:
+            if not self.carrying.in_collision(q):
+                goals.append(q)
+                if len(goals) == self.params.max_goals:
+                    break
+        self.n_goals = len(goals)
+        return goals
+
+    def _ends(self, goals: list[Float[np.ndarray, "7"]]) -> Iterator[tuple[Float[np.ndarray, "d 7"], Float[np.ndarray, "r 7"]]]:
+        """Free descend and retreat lines of the goals that have both."""
+        T_preplace, T_retreat = self.T_base_place.copy(), self.T_base_place.copy()
+        T_preplace[2, 3] += self.params.preplace_m
+        T_retreat[:3, 3] -= self.params.retreat_m * self.T_base_place[:3, 2]
+        for q in goals:
+            up = self._line(T_preplace, q)
+            if up is None or not self.carrying.is_free_path(up[1:]):
+                continue
+            self.furthest = PlanStatus.RETREAT_BLOCKED
+            back = self._line(T_retreat, q)
+            if back is None or not self.open.is_free_path(back):
+                continue
+            yield up[::-1], back
+
+    def _line(self, T_end: Float[np.ndarray, "4 4"], q: Float[np.ndarray, "7"]) -> Float[np.ndarray, "m 7"] | None:
+        return follow_line(self.T_base_place, T_end, q, self.params.line_step_m, self.params.max_joint_jump_rad)
+
+
+def _label_columns(judgement: Judgement, model: CollisionModel, params: PlanningParams, motion: MotionParams) -> Row:
+    row: Row = {
+        "y_plan": judgement.plan is not None,
+        "plan_status": judgement.status.value,
+        "min_clearance_m": None,
+        "n_goals": judgement.n_goals,
+        "n_checks": judgement.n_checks,
+        "plan_duration_s": None,
+        "path_length_rad": None,
+        "n_waypoints": None,
+        "used_search": judgement.used_search,
+    }
+    plan = judgement.plan
+    if plan is not None:
+        transport = plan.transport_q_rad
+        row["min_clearance_m"] = path_clearance_m(model, path_samples(transport, params.clearance_step_rad))
+        row["plan_duration_s"] = path_duration_s(transport, motion, stop_at_waypoints=True) + sum(
+            path_duration_s(line, motion, stop_at_waypoints=False) for line in (plan.descend_q_rad, plan.retreat_q_rad)
+        )
+        row["path_length_rad"] = float(np.linalg.norm(np.diff(transport, axis=0), axis=1).sum())
+        row["n_waypoints"] = len(transport)
+    return row

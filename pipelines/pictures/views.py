@@ -1,0 +1,80 @@
+"""Pictures of scenes for people, and what stands in them; the depth cameras of the dataset are in scenes.points, films in filmstrip.py."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from objects.object_model import ObjectModel
+from pipelines.pictures.renderer import Renderer, Rgb, View
+from pipelines.values import Scene
+from tables.vocabulary import PointType
+
+TABLE_RGB: Rgb = (0.86, 0.84, 0.80)
+OBSTACLE_RGB: Rgb = (0.62, 0.46, 0.30)
+OBJECT_RGB: Rgb = (0.16, 0.42, 0.72)
+GHOST_RGB: Rgb = (0.20, 0.72, 0.36)
+_GHOST_OPACITY = 0.5
+_PICTURE_SHARPNESS = 2  # rendered at twice the size and averaged: the renderer does not smooth edges
+
+
+def render_scene(
+    object_model: ObjectModel,
+    scene: Scene,
+    size_px: tuple[int, int] = (640, 480),
+    *,
+    show_targets_as_ghosts: bool = True,
+    robot_q: Float[np.ndarray, "7"] | None = None,
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A picture of a scene for people: object blue, obstacles brown, targets as green ghosts.
+
+    Args:
+        size_px: width and height.
+        robot_q: draw the arm at this configuration with an open hand.
+    """
+    view = picture_view(size_px)
+    with Renderer() as renderer:
+        build_scene(renderer, object_model, scene)
+        if robot_q is not None:
+            renderer.pose_robot(renderer.add_robot(), robot_q, np.array([0.04, 0.04]))
+        picture = renderer.photograph(view).rgb.astype(np.float64)
+        if show_targets_as_ghosts:
+            for target in scene.targets:
+                renderer.add_mesh(object_model.mesh, target.T_base_target, GHOST_RGB)
+            ghosts = renderer.photograph(view)
+            picture += _GHOST_OPACITY * (ghosts.rgb - picture)
+    return shrunk(picture)
+
+
+def picture_view(size_px: tuple[int, int], middle_xy: Float[np.ndarray, "2"] | None = None) -> View:
+    """The view of every picture, from the front left: of the whole table, or nearer and of what happens around a spot."""
+    width, height = (_PICTURE_SHARPNESS * n for n in size_px)
+    if middle_xy is None:
+        return View((1.35, 0.70, 0.80), (0.38, 0.0, 0.14), 39.0, width, height)
+    x, y = (float(v) for v in middle_xy)
+    return View((x + 0.90, y + 0.65, 0.70), (x, y, 0.16), 36.0, width, height)
+
+
+def shrunk(picture: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Average blocks of pixels down to the asked size."""
+    n = _PICTURE_SHARPNESS
+    h, w, _ = picture.shape
+    return np.clip(picture.reshape(h // n, n, w // n, n, 3).mean(axis=(1, 3)), 0, 255).round().astype(np.uint8)
+
+
+def add_table(renderer: Renderer) -> int:
+    """The table top."""
+    T = np.eye(4)
+    T[:3, 3] = 0.35, 0.0, -0.02
+    return renderer.add_box(np.array([1.5, 1.8, 0.04]), T, TABLE_RGB)
+
+
+def build_scene(renderer: Renderer, object_model: ObjectModel, scene: Scene) -> dict[int, PointType]:
+    """Table, object and obstacles; what each body's points are called."""
+    types = {
+        add_table(renderer): PointType.ENVIRONMENT,
+        renderer.add_mesh(object_model.mesh, scene.T_base_object, OBJECT_RGB): PointType.OBJECT,
+    }
+    for obstacle in scene.obstacles:
+        types[renderer.add_box(obstacle.size_m, obstacle.T_base_obstacle, OBSTACLE_RGB)] = PointType.OBSTACLE
+    return types

@@ -1,0 +1,39 @@
+"""What a physics step and a collision check cost at the very least, measured when asked: the floors that stage costs are read against."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from objects.object_model import ObjectModel
+from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
+from pipelines.engines.planning.collision import CollisionModel
+from pipelines.engines.robot.arm import HOME_Q_RAD, Q_LOWER_RAD, Q_UPPER_RAD
+from pipelines.values import Scene
+
+N_STEPS = 2000
+N_CHECKS = 5000
+
+
+def bare_step_us(object_model: ObjectModel, scene: Scene, physics: PhysicsParams) -> float:
+    """CPU microseconds of a step in which the arm holds still and the object lies on the table."""
+    with PhysicsWorld(object_model, scene.obstacles, physics) as world:
+        world.rebuild("floor", with_robot=True)
+        world.set_object(scene.T_base_object)
+        world.set_arm(HOME_Q_RAD, [0.04, 0.04])
+        start = time.process_time_ns()
+        for _ in range(N_STEPS):
+            world.step()
+        return (time.process_time_ns() - start) / N_STEPS / 1e3
+
+
+def collision_check_us(object_model: ObjectModel, scene: Scene) -> float:
+    """CPU microseconds of one check of arm, hand and held object, over random configurations."""
+    model = CollisionModel(scene, object_model)
+    model.attach(np.linalg.inv(object_model.grasps[0].T_object_grasp), np.full(2, object_model.grasps[0].jaw_width_m / 2))
+    configurations = np.random.default_rng(0).uniform(Q_LOWER_RAD, Q_UPPER_RAD, (N_CHECKS, 7))
+    start = time.process_time_ns()
+    for q in configurations:
+        model.in_collision_holding(q)
+    return (time.process_time_ns() - start) / N_CHECKS / 1e3

@@ -1,0 +1,128 @@
+"""Rebuilds one scene or one candidate from its id alone and compares every row with what is stored.
+
+`python -m pipelines.regenerate full-0042` or `python -m pipelines.regenerate full-0042-t3-g17`
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from objects.build import build_object_models
+from objects.catalogue import catalogue_order, load_catalogue
+from objects.object_model import ObjectModel
+from pipelines.codecs import Row
+from pipelines.recipe import DEFAULT_RECIPE, Recipe, load_recipe
+from pipelines.running.data_root import DataRoot
+from pipelines.scenes.allocation import SceneAllocation, scene_allocation
+from pipelines.stages import STAGES, rows_by_scene, units_of
+from tables.identity import CandidateId, IdentityError, parse_candidate_id, parse_scene_id, shard_of_scene
+from tables.schemas import ALL_SCHEMAS
+from tables.store import StoreError, content_hash, table_from_rows
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """One table of a scene or candidate, made again; `stored_hash` is None where nothing is stored."""
+
+    table: str
+    rows: int
+    fresh_hash: str
+    stored_hash: str | None
+
+    @property
+    def is_identical(self) -> bool | None:
+        return None if self.stored_hash is None else self.fresh_hash == self.stored_hash
+
+
+def regenerate(
+    name: str, root: DataRoot, recipe_path: Path = DEFAULT_RECIPE, object_models: dict[str, ObjectModel] | None = None
+) -> list[Comparison]:
+    """Make all rows of a scene, or those of one candidate, from identity alone: catalogue and recipe in, nothing stored read.
+
+    Args:
+        name: a scene id or a candidate id.
+        root: where to look for stored rows to compare with.
+        object_models: objects built from the catalogue before; built here if None.
+
+    Raises:
+        IdentityError: neither a scene nor a candidate, or a candidate that does not exist because its grasp did not lift.
+    """
+    candidate = parse_candidate_id(name) if "-t" in name else None
+    scene_id = candidate.scene_id if candidate else name
+    recipe = load_recipe(parse_scene_id(scene_id)[0], recipe_path)
+    allocation = scene_allocation(scene_id, catalogue_order())
+    if object_models is None:
+        object_models = build_object_models(
+            [spec for spec in load_catalogue() if spec.object_id == allocation.object_id], recipe.objects, recipe.seed
+        )
+    rows = _make_rows(recipe, object_models[allocation.object_id], allocation, candidate)
+    if candidate and not any(row["candidate_id"] == name for row in rows["planning_labels"]):
+        raise IdentityError(f"{name}: grasp {candidate.grasp_id} is not among the lifted grasps of {scene_id}")
+    return [_comparison(table, some, root, scene_id, candidate) for table, some in rows.items()]
+
+
+def _make_rows(
+    recipe: Recipe, object_model: ObjectModel, allocation: SceneAllocation, candidate: CandidateId | None
+) -> dict[str, list[Row]]:
+    """The chain of stages in this process; for a candidate only its own grasp is lifted, planned and executed."""
+    rows: dict[str, list[Row]] = {}
+    for stage in STAGES:
+        units = units_of(stage, recipe, object_model, allocation, rows)
+        if candidate and stage.grasp_ids is not None:
+            units = [unit for unit in units if unit.grasp_id == candidate.grasp_id]
+        for schema in stage.outputs:
+            rows[schema.name] = []
+        for unit in units:
+            for table, more in stage.run(unit).rows.items():
+                rows[table] += more
+    return rows
+
+
+def _comparison(table: str, fresh: list[Row], root: DataRoot, scene_id: str, candidate: CandidateId | None) -> Comparison:
+    schema = ALL_SCHEMAS[table]
+    try:
+        stored = rows_by_scene(root.read_shard(shard_of_scene(scene_id), [schema]), [scene_id])[scene_id][table]
+        stored_hash = content_hash(table_from_rows(schema, _own(stored, candidate)))
+    except StoreError:
+        stored_hash = None
+    own = _own(fresh, candidate)
+    return Comparison(table, len(own), content_hash(table_from_rows(schema, own)), stored_hash)
+
+
+def _own(rows: list[Row], candidate: CandidateId | None) -> list[Row]:
+    if candidate is None:
+        return rows
+    return [row for row in rows if _is_of(row, candidate)]
+
+
+def _is_of(row: Row, candidate: CandidateId) -> bool:
+    if "candidate_id" in row:
+        return parse_candidate_id(row["candidate_id"]) == candidate
+    return row.get("grasp_id", candidate.grasp_id) == candidate.grasp_id
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line: 0 where every stored table agrees, 1 where one differs or the id is wrong, 2 where nothing is stored."""
+    parser = argparse.ArgumentParser(prog="python -m pipelines.regenerate", description=__doc__)
+    parser.add_argument("name", help="a scene id or a candidate id")
+    parser.add_argument("--data", type=Path, default=Path("data"), help="folder to compare with")
+    parser.add_argument("--recipe", type=Path, default=DEFAULT_RECIPE)
+    chosen = parser.parse_args(arguments)
+    try:
+        comparisons = regenerate(chosen.name, DataRoot(chosen.data), chosen.recipe)
+    except IdentityError as error:
+        print(error, file=sys.stderr)
+        return 1
+    words = {True: "identical", False: "DIFFERENT", None: "not stored"}
+    for c in comparisons:
+        print(f"{c.table:18s} {c.rows:6d} rows  {c.fresh_hash[:16]}  {words[c.is_identical]}")
+    found = {c.is_identical for c in comparisons}
+    return 1 if False in found else 2 if found == {None} else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,170 @@
+"""Runs one stage on one shard: what is already published is kept, what is missing is made, a failed scene costs only itself."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+
+import pyarrow as pa
+
+from objects.catalogue import catalogue_order
+from objects.object_model import ObjectModel, object_models_from_tables
+from pipelines.recipe import Recipe
+from pipelines.running.data_root import OBJECT_TABLES, DataRoot
+from pipelines.running.unfinished import SceneCollector, SceneParts
+from pipelines.running.workers import run_units
+from pipelines.scenes.allocation import SceneAllocation, scene_allocation
+from pipelines.stages import Stage, rows_by_scene, units_of
+from tables.identity import scenes_of_shard
+from tables.schemas import SCHEMA_VERSION, TIMINGS
+from tables.store import (
+    Sidecar,
+    StoreError,
+    file_sha256,
+    read_sidecar,
+    read_tables,
+    sidecar_path,
+    write_table,
+)
+
+
+class StageError(RuntimeError):
+    """Scenes of a shard that could not be made; the message has each one's id and reason, the others are kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a stage is: units done, units in all."""
+
+    stage: str
+    shard: str
+    done: int
+    total: int
+
+
+@dataclass(frozen=True, slots=True)
+class StageReport:
+    """What a run of a stage published, and what it cost in this run."""
+
+    sidecars: dict[str, Sidecar]
+    is_reused: bool
+    n_units: int = 0
+    wall_s: float = 0.0
+    core_s: float = 0.0
+    peak_gib: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ShardInputs:
+    """What a stage reads besides the shard's own tables: recipe, objects, allocations of the shard's scenes, hash of the object tables."""
+
+    recipe: Recipe
+    object_models: Mapping[str, ObjectModel]
+    allocations: Sequence[SceneAllocation]
+    objects_hash: str
+
+
+def load_shard_inputs(root: DataRoot, shard: str, recipe: Recipe) -> ShardInputs:
+    """Inputs of a whole shard, with the objects that are published below `root`."""
+    order = catalogue_order()
+    allocations = [scene_allocation(scene_id, order) for scene_id in scenes_of_shard(shard)]
+    hashes = [read_sidecar(root.object_table(name)).content_hash for name in OBJECT_TABLES]
+    return ShardInputs(recipe, object_models_from_tables(**root.read_objects()), allocations, "-".join(h[:16] for h in hashes))
+
+
+def run_stage(
+    stage: Stage,
+    shard: str,
+    root: DataRoot,
+    inputs: ShardInputs,
+    n_workers: int,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> StageReport:
+    """Publish the tables of one stage for one shard.
+
+    Args:
+        n_workers: worker processes; 0 stays in this process. The result does not depend on it.
+        on_progress: called after every unit.
+
+    Raises:
+        StageError: at least one scene failed. Finished scenes stay on disk, and the next run makes only the missing ones.
+        StoreError: an upstream table is not published.
+    """
+    start = time.perf_counter()
+    made_from = _made_from(stage, shard, root, inputs)
+    published = _published(stage, shard, root, made_from)
+    parts = SceneParts(stage, shard, root, made_from)
+    if published is not None:
+        parts.delete()
+        return StageReport(published, is_reused=True)
+    upstream = rows_by_scene(root.read_shard(shard, stage.inputs), [allocation.scene_id for allocation in inputs.allocations])
+    missing = [allocation for allocation in inputs.allocations if not parts.is_on_disk(allocation.scene_id)]
+    units = [
+        unit
+        for allocation in missing
+        for unit in units_of(stage, inputs.recipe, inputs.object_models[allocation.object_id], allocation, upstream[allocation.scene_id])
+    ]
+    collector = SceneCollector(units, [allocation.scene_id for allocation in missing], parts)
+    try:
+        with closing(run_units(stage.run, [(unit,) for unit in units], n_workers)) as outcomes:
+            for n_done, outcome in enumerate(outcomes, 1):
+                collector.enter(units[outcome.index], outcome)
+                on_progress(Progress(stage.name, shard, n_done, len(units)))
+        if collector.failures:
+            reasons = "\n".join(collector.failures[scene_id] for scene_id in sorted(collector.failures))
+            n_failed, n_scenes = len(collector.failures), len(inputs.allocations)
+            raise StageError(f"{shard}.{stage.name}: {n_failed} of {n_scenes} scenes failed, must be 0; the others are kept:\n{reasons}")
+        sidecars = _publish(stage, shard, root, inputs, parts, made_from)
+    except BaseException as why:
+        # Whatever ended the stage early, an interrupt too: finished scenes are not made again.
+        try:
+            parts.flush()
+        except OSError as failure:
+            why.add_note(f"and finished scenes of {shard}.{stage.name} could not be kept: {failure}")
+        raise
+    return StageReport(sidecars, False, len(units), time.perf_counter() - start, collector.core_ms / 1e3, collector.peak_gib)
+
+
+def is_published(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs) -> bool:
+    """Whether the tables of a stage are on disk, unchanged, and made from what would be used today."""
+    try:
+        return _published(stage, shard, root, _made_from(stage, shard, root, inputs)) is not None
+    except StoreError:
+        return False
+
+
+def _made_from(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs) -> dict[str, str]:
+    """What identifies the inputs of a stage; equal inputs give equal tables, so a stored table with these is up to date."""
+    upstream = {f"table.{t.name}": read_sidecar(root.shard_table(shard, t.name)).content_hash for t in stage.inputs}
+    recipe = inputs.recipe.hash_of(*stage.recipe_sections) if stage.recipe_sections else inputs.recipe.hash_of("seed")
+    return {"stage": stage.name, "code": stage.code_version, "recipe": recipe, "objects": inputs.objects_hash, **upstream}
+
+
+def _published(stage: Stage, shard: str, root: DataRoot, made_from: Mapping[str, str]) -> dict[str, Sidecar] | None:
+    sidecars = {}
+    for schema in stage.outputs:
+        path = root.shard_table(shard, schema.name)
+        if not path.exists() or not sidecar_path(path).exists():
+            return None
+        sidecar = read_sidecar(path)
+        if sidecar.made_from != made_from or sidecar.schema_version != SCHEMA_VERSION or file_sha256(path) != sidecar.sha256:
+            return None
+        sidecars[schema.name] = sidecar
+    return sidecars
+
+
+def _publish(
+    stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs, parts: SceneParts, made_from: Mapping[str, str]
+) -> dict[str, Sidecar]:
+    scene_ids = [allocation.scene_id for allocation in inputs.allocations]
+    write_table(TIMINGS, parts.joined(TIMINGS, scene_ids), root.timings(shard, stage.name), made_from)
+    sidecars = {s.name: write_table(s, parts.joined(s, scene_ids), root.shard_table(shard, s.name), made_from) for s in stage.outputs}
+    parts.delete()
+    return sidecars
+
+
+def read_timings(root: DataRoot, shards: Sequence[str], stages: Sequence[Stage]) -> pa.Table:
+    """Timings of some stages over some shards."""
+    return read_tables(TIMINGS, [root.timings(shard, stage.name) for shard in shards for stage in stages])

@@ -1,0 +1,232 @@
+"""One draw of an object, an obstacle or a target, and why it is rejected; putting a scene together is scene_sampling's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import Float
+
+from objects.object_model import ObjectModel, StablePose
+from pipelines.codecs import Row
+from pipelines.engines.physics.resting import rest_drift
+from pipelines.engines.physics.world import PhysicsWorld
+from pipelines.scenes.reach import OpenHands
+from pipelines.scenes.tabletop import Polygon, beside, box_footprint, footprint, gap_m, is_in_sector, spot_in_sector, standing
+from pipelines.values import Obstacle
+from tables.identity import rng_for
+from tables.poses import matrix_of, pose_of
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, slots=True)
+class SceneSamplingParams:
+    """Where things are put and when a draw is rejected. These are the knobs of task difficulty."""
+
+    n_targets: int = 8
+    # Where a Panda still reaches down with some freedom: nearer the elbow folds, further the wrist cannot tilt.
+    radius_m: tuple[float, float] = (0.30, 0.70)
+    angle_rad: tuple[float, float] = (-1.2217304763960306, 1.2217304763960306)  # +-70 degrees: the arm's front
+    obstacle_size_m: tuple[float, float, float] = (0.10, 0.08, 0.12)
+    obstacle_radius_m: tuple[float, float] = (0.28, 0.72)  # near enough to be in the way of a target
+    obstacle_gap_m: float = 0.03  # between obstacles: less would be one obstacle
+    # Shares of resting poses among targets: half ask for the pose the object has (the everyday case), the others take turns, however
+    # barely stable, so that a lying target needs another grasp than an upright one.
+    share_same_rest: float = 0.5
+    # Of the obstacles, those between object and workspace; the others stand beside the object.
+    share_between: float = 0.6
+    share_beside_obstacle: float = 0.6  # of the targets, where there is an obstacle: those placed next to one
+    near_gap_m: tuple[float, float] = (0.02, 0.12)  # "next to": a finger is 2 cm wide and a hand 20 cm
+    object_gap_m: float = 0.05  # object to obstacle: fingers fit on every side, else no grasp of that side is ever admitted
+    target_gap_m: float = 0.02  # target to obstacle: collision-free with room for the tolerance of a placement
+    min_move_m: float = 0.10  # target to object: a placement, not a nudge
+    min_target_distance_m: float = 0.05  # between targets, or they must be turned:
+    min_target_turn_rad: float = 0.5235987755982988  # 30 degrees modulo symmetry
+    # Pool grasps that clear the table and that the arm reaches, where the object starts: of 64, so that some 20 can be lifted.
+    min_initial_grasps: int = 16
+    min_target_grasps: int = 2  # the same at a target: none would be out of reach whatever is chosen
+    n_q7: int = 8  # grid of joint 7; a reach test, finer ones follow
+    rest_s: float = 1.0  # an unstable pose has left its place by then
+    max_drift_m: float = 0.005
+    max_drift_rad: float = 0.05235987755982988  # 3 degrees
+    draws_per_rest: int = 12  # places tried for a target's resting pose before another pose is drawn
+    max_draws: int = 100  # of one item before the whole scene is drawn anew
+    max_attempts: int = 50
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name.endswith("_gap_m") or item.name in ("radius_m", "angle_rad", "obstacle_radius_m"):
+                low, high = value if isinstance(value, tuple) else (0.0, value)
+                if not low < high:
+                    raise ValueError(f"{item.name} = {value}, must be increasing and above 0")
+            elif item.name.startswith("share_") and not 0.0 <= value <= 1.0:
+                raise ValueError(f"{item.name} = {value}, must be in [0, 1]")
+            elif isinstance(value, int) and value < 1:
+                raise ValueError(f"{item.name} = {value}, must be at least 1")
+        if self.target_gap_m > self.near_gap_m[0]:
+            raise ValueError(f"target_gap_m = {self.target_gap_m}, must be at most near_gap_m[0] = {self.near_gap_m[0]}")
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """The object at a resting pose, its footprint, and how far physics moved it."""
+
+    rest: StablePose
+    pose: Float[np.ndarray, "7"]
+    T: Float[np.ndarray, "4 4"]
+    outline: Polygon
+    drift: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Draws:
+    """What an attempt draws from and where it records rejections."""
+
+    object_model: ObjectModel
+    scene_id: str
+    attempt: int
+    params: SceneSamplingParams
+    seed: int
+    world: PhysicsWorld
+    hands: OpenHands
+    rejected: list[Row]
+
+    def first_valid(self, item: str, draw_one: Callable[[np.random.Generator, int], _T | str]) -> _T | None:
+        """The first draw that is not a reason for rejection; None where all `max_draws` are."""
+        for draw in range(self.params.max_draws):
+            drawn = draw_one(self.rng(item, draw), draw)
+            if not isinstance(drawn, str):
+                return drawn
+            self.reject(item, draw, drawn)
+        return None
+
+    def rng(self, item: str, draw: int) -> np.random.Generator:
+        return rng_for(self.seed, "scene_sampling", self.scene_id, self.attempt, item, draw)
+
+    def reject(self, item: str, draw: int, reason: str) -> None:
+        self.rejected.append({"scene_id": self.scene_id, "attempt": self.attempt, "item": item, "draw": draw, "reason": reason})
+
+
+def draw_object(draws: Draws, rng: np.random.Generator, draw: int) -> Placed | str:
+    """Any resting pose (people stand things up far more often than a drop would), anywhere in the workspace, settled in physics."""
+    object_model, params = draws.object_model, draws.params
+    rest = object_model.stable_poses[int(rng.integers(len(object_model.stable_poses)))]
+    xy = spot_in_sector(rng, params.radius_m, params.angle_rad)
+    T_nominal = standing(xy, rng.uniform(-math.pi, math.pi)) @ rest.T_plane_object
+    if not draws.hands.allows(T_nominal, params.min_initial_grasps):
+        return f"fewer than {params.min_initial_grasps} grasps within reach ({rest.resting})"
+    rested = _rested(draws, "object", rest, T_nominal)
+    if isinstance(rested, str):
+        return rested
+    pose = pose_of(rested[0])
+    return Placed(rest, pose, matrix_of(pose), footprint(object_model, rested[0]), rested[1])
+
+
+def draw_obstacle(
+    params: SceneSamplingParams, obstacle_id: int, start: Placed, others: list[Obstacle], rng: np.random.Generator, draw: int
+) -> Obstacle | str:
+    """A box on the way from the object to a random spot of the workspace, or one beside the object."""
+    size_m = np.array(params.obstacle_size_m)
+    yaw_rad, object_xy = rng.uniform(-math.pi, math.pi), start.T[:2, 3]
+    if rng.random() < params.share_between:
+        xy = object_xy + rng.uniform(0.3, 0.7) * (spot_in_sector(rng, params.radius_m, params.angle_rad) - object_xy)
+    else:
+        angle_rad, wanted_m = rng.uniform(-math.pi, math.pi), rng.uniform(params.object_gap_m, params.near_gap_m[1])
+        xy = beside(object_xy, start.outline, lambda at: box_footprint(standing(at, yaw_rad), size_m), angle_rad, wanted_m)
+    obstacle = Obstacle(obstacle_id, standing(xy, yaw_rad, size_m[2]), size_m)
+    box = box_footprint(obstacle.T_base_obstacle, size_m)
+    if not is_in_sector(xy, params.obstacle_radius_m, (-math.pi, math.pi)):
+        return "outside the workspace"
+    if gap_m(box, start.outline) < params.object_gap_m - 1e-3:
+        return "too near to the object"
+    if any(gap_m(box, box_footprint(o.T_base_obstacle, o.size_m)) < params.obstacle_gap_m for o in others):
+        return "too near to another obstacle"
+    return obstacle
+
+
+def draw_target(
+    draws: Draws,
+    target_id: int,
+    start: Placed,
+    obstacles: list[Obstacle],
+    targets: list[Placed],
+    rng: np.random.Generator,
+    draw: int,
+) -> Placed | str:
+    """A resting pose beside an obstacle or anywhere; cheap rejections first, physics last."""
+    object_model, params = draws.object_model, draws.params
+    rest = _draw_rest(draws, start.rest, target_id, draw)
+    yaw_rad = rng.uniform(-math.pi, math.pi)
+    if obstacles and rng.random() < params.share_beside_obstacle:
+        near = obstacles[int(rng.integers(len(obstacles)))]
+        box, angle_rad, wanted_m = _outline(near), rng.uniform(-math.pi, math.pi), rng.uniform(*params.near_gap_m)
+        placed = partial(_outline_at, object_model, rest, yaw_rad)
+        xy = beside(near.T_base_obstacle[:2, 3], box, placed, angle_rad, wanted_m)
+    else:
+        xy = spot_in_sector(rng, params.radius_m, params.angle_rad)
+    pose = pose_of(standing(xy, yaw_rad) @ rest.T_plane_object)
+    # As a reader of its row sees it, so that what rests here is what is asked for later, to the bit.
+    T = matrix_of(pose)
+    outline = footprint(object_model, T)
+    if not is_in_sector(xy, params.radius_m, params.angle_rad):
+        return "outside the workspace"
+    if np.linalg.norm(T[:3, 3] - start.T[:3, 3]) < params.min_move_m:
+        return "too near to the object's initial pose"
+    if any(gap_m(outline, _outline(obstacle)) < params.target_gap_m - 1e-3 for obstacle in obstacles):
+        return "too near to an obstacle"
+    if any(_is_same(object_model, T, other.T, params) for other in targets):
+        return "too like another target"
+    if not draws.hands.allows(T, params.min_target_grasps):
+        return f"fewer than {params.min_target_grasps} grasps within reach ({rest.resting})"
+    rested = _rested(draws, f"target {target_id}", rest, T)
+    return rested if isinstance(rested, str) else Placed(rest, pose, T, outline, rested[1])
+
+
+def _rested(
+    draws: Draws, item: str, rest: StablePose, T: Float[np.ndarray, "4 4"]
+) -> tuple[Float[np.ndarray, "4 4"], tuple[float, float]] | str:
+    """Where the object is after it was left alone there, and its drift."""
+    T_rested, drift = rest_drift(draws.world, f"{draws.scene_id} {item}", T, draws.params.rest_s)
+    if T_rested is None or drift[0] > draws.params.max_drift_m or drift[1] > draws.params.max_drift_rad:
+        return f"did not stay at rest ({rest.resting})"
+    return T_rested, drift
+
+
+def _draw_rest(draws: Draws, initial: StablePose, target: int, draw: int) -> StablePose:
+    """The resting pose of a target, by the shares of the recipe.
+
+    It is kept over several draws of the place: drawn anew with every rejection, easy poses would crowd out the others.
+    """
+    rng = draws.rng(f"rest-{target}", draw // draws.params.draws_per_rest)
+    others = [pose for pose in draws.object_model.stable_poses if pose.stable_pose_id != initial.stable_pose_id]
+    if not others or rng.random() < draws.params.share_same_rest:
+        return initial
+    return others[int(rng.integers(len(others)))]
+
+
+def _is_same(object_model: ObjectModel, T_a: Float[np.ndarray, "4 4"], T_b: Float[np.ndarray, "4 4"], params: SceneSamplingParams) -> bool:
+    is_near = float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])) < params.min_target_distance_m
+    return is_near and object_model.rotation_error_rad(T_a[:3, :3], T_b[:3, :3]) < params.min_target_turn_rad
+
+
+def is_relevant(obstacle: Obstacle, start: Placed, targets: list[Placed], params: SceneSamplingParams) -> bool:
+    """Next to a target, or across the straight way from the object to one (the object's own width counts)."""
+    box = _outline(obstacle)
+    if any(gap_m(box, target.outline) <= params.near_gap_m[1] for target in targets):
+        return True
+    half_width_m = 0.5 * float(np.ptp(start.outline, axis=0).min())
+    return any(gap_m(box, np.stack([start.T[:2, 3], target.T[:2, 3]])) <= half_width_m for target in targets)
+
+
+def _outline(obstacle: Obstacle) -> Polygon:
+    return box_footprint(obstacle.T_base_obstacle, obstacle.size_m)
+
+
+def _outline_at(object_model: ObjectModel, rest: StablePose, yaw_rad: float, xy: Float[np.ndarray, "2"]) -> Polygon:
+    return footprint(object_model, standing(xy, yaw_rad) @ rest.T_plane_object)

@@ -1,0 +1,85 @@
+"""What depth cameras see of the initial scene, as typed points; pictures for people are in pictures.views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from objects.object_model import ObjectModel
+from pipelines.codecs import Row
+from pipelines.pictures.renderer import Photograph, Renderer, View
+from pipelines.pictures.views import build_scene
+from pipelines.values import Scene
+from tables.identity import rng_for
+from tables.vocabulary import PointType
+
+
+@dataclass(frozen=True, slots=True)
+class CameraParams:
+    """Two depth cameras on opposite corners of the table, and how many of their points are kept."""
+
+    eyes_m: tuple[tuple[float, float, float], ...] = (
+        (1.15, 0.75, 0.80),
+        (-0.20, -0.80, 0.80),
+    )  # together they see every side but the bottom
+    look_at_m: tuple[float, float, float] = (0.42, 0.0, 0.05)  # the middle of the workspace
+    fov_deg: float = 46.0  # the whole workspace, and 3 mm a pixel on the object
+    width_px: int = 320
+    height_px: int = 240
+    n_points: int = 2048
+    # Half of the points for the object: it is small in the image and everything is about it.
+    n_object_points: int = 1024
+    n_obstacle_points: int = 512
+    max_radius_m: float = 0.95  # table beyond it is out of the arm's reach
+
+    def __post_init__(self) -> None:
+        if self.n_object_points + self.n_obstacle_points >= self.n_points:
+            raise ValueError(
+                f"n_points = {self.n_points}, must be above {self.n_object_points} object and {self.n_obstacle_points} obstacle points"
+            )
+        if not self.eyes_m or not 5.0 < self.fov_deg < 120.0:
+            raise ValueError(f"{len(self.eyes_m)} eyes with fov_deg = {self.fov_deg}, must be at least one and in (5, 120)")
+
+
+def scene_point_rows(object_model: ObjectModel, scene: Scene, params: CameraParams, seed: int) -> list[Row]:
+    """Rows of `scene_points`: `n_points` points of the initial scene without robot.
+
+    Where object or obstacles show fewer pixels than their share, the table fills up.
+    """
+    clouds = _clouds(object_model, scene, params)
+    rng = rng_for(seed, "scene_points", scene.scene_id)
+    kept = {
+        PointType.OBJECT: _some(rng, clouds[PointType.OBJECT], params.n_object_points),
+        PointType.OBSTACLE: _some(rng, clouds[PointType.OBSTACLE], params.n_obstacle_points),
+    }
+    n_left = params.n_points - sum(map(len, kept.values()))
+    if len(clouds[PointType.ENVIRONMENT]) < n_left:
+        raise ValueError(f"{scene.scene_id}: {len(clouds[PointType.ENVIRONMENT])} table points in view, must be at least {n_left}")
+    kept = {PointType.ENVIRONMENT: _some(rng, clouds[PointType.ENVIRONMENT], n_left), **kept}
+    typed = [(kind, point) for kind, points in kept.items() for point in points.tolist()]
+    return [
+        {"scene_id": scene.scene_id, "point": k, "point_type": kind.value, "x_m": x, "y_m": y, "z_m": z}
+        for k, (kind, (x, y, z)) in enumerate(typed)
+    ]
+
+
+def _clouds(object_model: ObjectModel, scene: Scene, params: CameraParams) -> dict[PointType, Float[np.ndarray, "n 3"]]:
+    """All back-projected points within reach, by what they lie on."""
+    views = [View(eye, params.look_at_m, params.fov_deg, params.width_px, params.height_px) for eye in params.eyes_m]
+    with Renderer() as renderer:
+        types = build_scene(renderer, object_model, scene)
+        photographs = [renderer.photograph(view) for view in views]
+    return {kind: np.concatenate([_points_of(p, types, kind, params) for p in photographs]) for kind in PointType}
+
+
+def _points_of(photograph: Photograph, types: dict[int, PointType], kind: PointType, params: CameraParams) -> Float[np.ndarray, "n 3"]:
+    bodies = [body for body, its_kind in types.items() if its_kind is kind]
+    points = photograph.points_m[np.isin(photograph.body, bodies)]
+    return points[np.linalg.norm(points[:, :2], axis=1) <= params.max_radius_m]
+
+
+def _some(rng: np.random.Generator, points: Float[np.ndarray, "n 3"], n: int) -> Float[np.ndarray, "m 3"]:
+    """At most n points, drawn without replacement, in image order."""
+    return points if len(points) <= n else points[np.sort(rng.choice(len(points), n, replace=False))]

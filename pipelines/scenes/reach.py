@@ -1,0 +1,34 @@
+"""How many pool grasps a pose allows at first sight: hand above the table, arm long enough; the rest is grasp_admission's."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from objects.gripper import gripper_boxes, open_jaw_m
+from objects.object_model import ObjectModel
+from pipelines.engines.robot.arm import ik
+
+
+class OpenHands:
+    """The open hand at every pool grasp, in the object frame."""
+
+    def __init__(self, object_model: ObjectModel, n_q7: int) -> None:
+        boxes = [gripper_boxes(open_jaw_m(grasp.jaw_width_m)) for grasp in object_model.grasps]
+        self.T_object_grasp = np.array([grasp.T_object_grasp for grasp in object_model.grasps])
+        self.T_object_box = self.T_object_grasp[:, None] @ np.array([T_tcp_box for T_tcp_box, _ in boxes])
+        self.half_m = 0.5 * np.array([size_m for _, size_m in boxes])
+        self.n_q7 = n_q7
+
+    def allows(self, T_base_object: Float[np.ndarray, "4 4"], n_grasps: int) -> bool:
+        """Whether at least `n_grasps` grasps have their open hand above the table and their TCP within the arm's reach."""
+        z_axis, z = T_base_object[2, :3], T_base_object[2, 3]
+        reach_m = (np.abs(np.einsum("i,gbij->gbj", z_axis, self.T_object_box[:, :, :3, :3])) * self.half_m).sum(axis=-1)
+        lowest_m = (self.T_object_box[:, :, :3, 3] @ z_axis + z - reach_m).min(axis=1)
+        clear = self.T_object_grasp[lowest_m > 0.0]
+        n_found = 0
+        for n_tried, T_object_grasp in enumerate(clear):
+            if n_found >= n_grasps or n_found + len(clear) - n_tried < n_grasps:
+                break
+            n_found += len(ik(T_base_object @ T_object_grasp, self.n_q7)) > 0
+        return n_found >= n_grasps

@@ -1,0 +1,57 @@
+"""Scenes, lifted grasps and plans of the hand-built objects, made by the real stages; for the tests of what comes after."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from objects.object_model import ObjectModel
+from pipelines.codecs import Row, admitted_grasps, lifted_grasps, plan_in
+from pipelines.engines.physics.world import PhysicsParams
+from pipelines.engines.planning.trajectory import MotionParams
+from pipelines.grasps.admission import AdmissionParams, admission_rows
+from pipelines.grasps.pick_lift import PickLiftParams, pick_lift_rows
+from pipelines.labels.planning import PlanningParams, planning_rows
+from pipelines.scenes.tabletop import standing
+from pipelines.values import LiftedGrasp, Obstacle, Plan, Scene, Target
+from tables.identity import parse_candidate_id
+from tests.pipelines.engines.physics.object_models import can_model, cuboid_model, mug_model
+
+PHYSICS, MOTION = PhysicsParams(), MotionParams()
+OBJECT_MODELS = {"can": can_model, "cuboid": cuboid_model, "mug": mug_model}
+_SPOTS = ((0.40, -0.25, 0.4), (0.55, -0.30, -1.0), (0.35, 0.30, 2.0), (0.62, 0.10, 0.9))
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """An object of which some grasps have been lifted and some placements planned."""
+
+    object_model: ObjectModel
+    scene: Scene
+    lift_rows: tuple[Row, ...]
+    grasps: tuple[LiftedGrasp, ...]
+    plans: dict[int, dict[int, Plan]]
+
+
+def scene_of(object_model: ObjectModel, obstacles: tuple[Obstacle, ...] = ()) -> Scene:
+    """The object upright at (0.5, 0.05), upright targets around it."""
+    rest = object_model.stable_poses[0].T_plane_object
+    targets = tuple(Target(k, 0, standing(np.array([x, y]), yaw) @ rest) for k, (x, y, yaw) in enumerate(_SPOTS))
+    return Scene("full-0000", object_model.object_id, 0, standing(np.array([0.5, 0.05]), 0.3) @ rest, obstacles, targets)
+
+
+@lru_cache(maxsize=8)
+def lifted(name: str, n_grasps: int = 2) -> Lifted:
+    """Lift the first grasps that admission lets through and plan their placements."""
+    object_model = OBJECT_MODELS[name]()
+    scene = scene_of(object_model)
+    admitted = admitted_grasps(admission_rows(object_model, scene, AdmissionParams(quota=n_grasps)))
+    rows = pick_lift_rows(object_model, scene, admitted, PickLiftParams(), MOTION, PHYSICS)
+    grasps = lifted_grasps(rows)
+    plans = {}
+    for grasp in grasps:
+        _, found = planning_rows(object_model, scene, grasp, range(len(scene.targets)), PlanningParams(), MOTION, 42)
+        plans[grasp.grasp_id] = {parse_candidate_id(row["candidate_id"]).target_id: plan_in(row) for row in found}
+    return Lifted(object_model, scene, tuple(rows), grasps, plans)

@@ -1,0 +1,230 @@
+"""The physics world against mechanics: free fall, rest, rolling, forward kinematics, tracking; and its errors."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pybullet
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from objects.object_model import ObjectModel, TriangleMesh
+from pipelines.engines.physics.errors import PhysicsError
+from pipelines.engines.physics.resting import rest_drift
+from pipelines.engines.physics.rollout import Phase, move, pose_difference, settle
+from pipelines.engines.physics.world import GRAVITY_M_S2, PhysicsParams, PhysicsWorld
+from pipelines.engines.planning.trajectory import MotionParams, time_path
+from pipelines.engines.robot.arm import HOME_Q_RAD, Q_LOWER_RAD, Q_UPPER_RAD, fk
+from pipelines.values import Obstacle
+from tables.poses import matrix_of
+from tests.pipelines.engines.physics.object_models import can_model, cuboid_model, mug_model
+
+OBJECT_MODELS = [can_model(), cuboid_model(), mug_model()]
+PARAMS = PhysicsParams()
+
+
+def _energy_j(world: PhysicsWorld) -> float:
+    """Kinetic and potential energy of the object, from poses and velocities alone."""
+    object_model, T = world.object_model, world.object_pose()
+    v, w = map(np.array, pybullet.getBaseVelocity(world._ids["object"], physicsClientId=world._client))
+    inertia = T[:3, :3] @ object_model.inertia_kg_m2 @ T[:3, :3].T
+    height = float((T[:3, :3] @ object_model.com_m + T[:3, 3])[2])
+    return float(0.5 * object_model.mass_kg * v @ v + 0.5 * w @ inertia @ w + object_model.mass_kg * GRAVITY_M_S2 * height)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.floats(-0.5, 0.5), min_size=3, max_size=3), st.lists(st.floats(-1, 1), min_size=4, max_size=4))
+def test_object_pose_is_the_one_that_was_set(position: list[float], quaternion: list[float]) -> None:
+    if np.linalg.norm(quaternion) < 0.1:
+        quaternion = [0.0, 0.0, 0.0, 1.0]
+    T = matrix_of(np.array([*position, *quaternion]))
+    with PhysicsWorld(OBJECT_MODELS[2], (), PARAMS) as world:
+        world.rebuild("round trip", with_robot=False)
+        world.set_object(T)
+        np.testing.assert_allclose(world.object_pose(), T, atol=1e-12)
+
+
+def test_a_spinning_mug_falls_by_its_centre_of_mass() -> None:
+    """The mug's frame is 5 mm from its centre of mass: taken for one another, this parabola would wobble by as much."""
+    object_model = OBJECT_MODELS[2]
+    T = np.eye(4)
+    T[:3, 3] = 0.4, 0.0, 1.5
+    with PhysicsWorld(object_model, (), PARAMS) as world:
+        world.rebuild("free fall", with_robot=False)
+        world.set_object(T)
+        pybullet.resetBaseVelocity(world._ids["object"], [0.3, 0.0, 1.0], [0.0, 9.0, 4.0], physicsClientId=world._client)
+        start = T[:3, :3] @ object_model.com_m + T[:3, 3]
+        for _ in range(72):
+            world.step()
+        t, T_end = 72 * PARAMS.dt_s, world.object_pose()
+        end = T_end[:3, :3] @ object_model.com_m + T_end[:3, 3]
+    expected = start + np.array([0.3, 0.0, 1.0]) * t - np.array([0, 0, 0.5 * GRAVITY_M_S2 * t * t])
+    # Bullet's semi-implicit Euler is ahead by g t dt / 2 = 6 mm, its damping of 4 % a second behind by 2 mm.
+    np.testing.assert_allclose(end, expected - np.array([0, 0, 0.5 * GRAVITY_M_S2 * t * PARAMS.dt_s]), atol=0.003)
+    assert pose_difference(T, T_end)[1] > 1.0
+
+
+@pytest.mark.parametrize("object_model", OBJECT_MODELS, ids=lambda object_model: object_model.object_id)
+def test_rest_is_rest(object_model: ObjectModel) -> None:
+    """Every stable pose stays where it is, neither on air nor in the table, and gains no energy."""
+    for rest in object_model.stable_poses:
+        T = rest.T_plane_object.copy()
+        T[:2, 3] = 0.5, 0.1
+        with PhysicsWorld(object_model, (), PARAMS) as world:
+            world.rebuild(rest.resting, with_robot=False)
+            world.set_object(T)
+            start_j, most_j, deepest_m = _energy_j(world), 0.0, 0.0
+            for _ in range(240):
+                world.step()
+                most_j = max(most_j, _energy_j(world))
+                deepest_m = max(deepest_m, world.deepest_contact_m("object", "table"))
+            moved_m, _ = pose_difference(T, world.object_pose())
+        # Boxes feel the table only once they are in it, after a step of free fall (0.17 mm): 0.3 mm for that, a tenth of a millimetre
+        # in the end, and the energy of lifting the object by a micrometre.
+        assert moved_m < 1e-4, rest.resting
+        assert deepest_m < 3e-4, rest.resting
+        assert most_j - start_j < object_model.mass_kg * GRAVITY_M_S2 * 1e-6, rest.resting
+
+
+@pytest.mark.parametrize("speed_m_s", [0.1, 0.3])
+def test_a_rolling_can_slows_down(speed_m_s: float) -> None:
+    """In one convex piece it rolled faster and faster: this is why it is cut in two."""
+    object_model = OBJECT_MODELS[0]
+    rest = next(pose for pose in object_model.stable_poses if pose.resting == "lying")
+    T = rest.T_plane_object.copy()
+    T[:2, 3] = 0.3, 0.0
+    axis = T[:3, 2]
+    ahead = np.cross(axis, [0, 0, 1])
+    with PhysicsWorld(object_model, (), PARAMS) as world:
+        world.rebuild("rolling", with_robot=False)
+        world.set_object(T)
+        spin = np.cross([0, 0, 1], ahead) * speed_m_s / T[2, 3]
+        pybullet.resetBaseVelocity(world._ids["object"], (ahead * speed_m_s).tolist(), spin.tolist(), physicsClientId=world._client)
+        start_j, most_j, deepest_m = _energy_j(world), 0.0, 0.0
+        for _ in range(240):
+            world.step()
+            most_j = max(most_j, _energy_j(world))
+            deepest_m = max(deepest_m, world.deepest_contact_m("object", "table"))
+        end_m_s, travelled_m = world.object_speed()[0], pose_difference(T, world.object_pose())[0]
+    assert most_j <= start_j + 1e-6
+    assert deepest_m < 1e-3
+    # A can on wood rolls with a resistance of 0.1 to 2 per cent of its weight; over a second that leaves it moving.
+    loss_m_s = (speed_m_s - end_m_s) * 1.5
+    assert 0.001 < loss_m_s / GRAVITY_M_S2 < 0.02
+    assert travelled_m > 0.5 * speed_m_s
+
+
+def test_a_box_set_down_from_3_mm_comes_to_rest_exactly() -> None:
+    object_model = OBJECT_MODELS[1]
+    T = np.eye(4)
+    T[:3, 3] = 0.5, 0.0, 0.073
+    with PhysicsWorld(object_model, (), PARAMS) as world:
+        world.rebuild("drop", with_robot=False)
+        world.set_object(T)
+        assert settle(world, 240)
+        assert world.object_pose()[2, 3] == pytest.approx(0.07, abs=2e-5)
+
+
+def test_obstacles_do_not_move_and_carry_an_object() -> None:
+    object_model = OBJECT_MODELS[1]
+    T_obstacle, T = np.eye(4), np.eye(4)
+    T_obstacle[:3, 3] = 0.5, 0.0, 0.06
+    T[:3, 3] = 0.5, 0.0, 0.12 + 0.07
+    obstacle = Obstacle(0, T_obstacle, np.array([0.10, 0.08, 0.12]))
+    with PhysicsWorld(object_model, (obstacle,), PARAMS) as world:
+        world.rebuild("stacked", with_robot=False)
+        world.set_object(T)
+        assert settle(world, 240)
+        assert world.object_pose()[2, 3] == pytest.approx(0.19, abs=1e-4)
+        assert world.n_contacts("object", "obstacle 0") > 0
+        assert world.n_contacts("object", "table") == 0
+
+
+def test_an_unstable_pose_is_found_out() -> None:
+    object_model = OBJECT_MODELS[0]
+    T = matrix_of(np.array([0.5, 0.0, 0.066, 0.0, np.sin(0.3), 0.0, np.cos(0.3)]))
+    with PhysicsWorld(object_model, (), PARAMS) as world:
+        _, (_, turned_rad) = rest_drift(world, "tilted can", T, 1.0)
+    assert turned_rad > 0.5
+
+
+def test_the_tcp_is_where_pybullet_says_the_hand_is() -> None:
+    rng = np.random.default_rng(3)
+    with PhysicsWorld(OBJECT_MODELS[0], (), PARAMS) as world:
+        world.rebuild("kinematics", with_robot=True)
+        robot, hand = world._robot.body, world._robot.links["panda_hand"]
+        for _ in range(20):
+            q = rng.uniform(Q_LOWER_RAD, Q_UPPER_RAD)
+            world.set_arm(q, (0.02, 0.02))
+            state = pybullet.getLinkState(robot, hand, computeForwardKinematics=True, physicsClientId=world._client)
+            T_base_hand = matrix_of(np.array([*state[4], *state[5]]))
+            T_base_tcp = T_base_hand @ matrix_of(np.array([0, 0, 0.1034, 0, 0, 0, 1.0]))
+            np.testing.assert_allclose(world.tcp_pose(), T_base_tcp, atol=1e-6)
+
+
+def test_the_arm_stays_on_its_path() -> None:
+    q_end = HOME_Q_RAD + np.array([1.0, 0.4, -0.4, -0.3, 0.5, 0.3, 0.8])
+    trajectory = time_path(np.stack([HOME_Q_RAD, q_end]), MotionParams(), PARAMS.dt_s, stop_at_waypoints=True)
+    direction = (q_end - HOME_Q_RAD) / np.linalg.norm(q_end - HOME_Q_RAD)
+    off_path = []
+    with PhysicsWorld(OBJECT_MODELS[0], (), PARAMS) as world:
+        world.rebuild("tracking", with_robot=True)
+        world.set_arm(HOME_Q_RAD, (0.02, 0.02))
+
+        def watch(phase: Phase) -> bool:
+            q, _ = world.arm_state()
+            off_path.append(np.linalg.norm((q - HOME_Q_RAD) - (q - HOME_Q_RAD) @ direction * direction))
+            return False
+
+        move(world, Phase.TRANSPORT, trajectory, watch)
+        q, _ = world.arm_state()
+        # Half a millimetre at an arm's length of 0.8 m; the planner's paths are checked to the path, not to the time on it.
+        assert max(off_path) < 6e-4
+        assert np.linalg.norm(fk(q)[:3, 3] - fk(q_end)[:3, 3]) < 1e-3
+
+
+def test_a_world_is_the_same_after_a_rebuild() -> None:
+    object_model = OBJECT_MODELS[2]
+    T = object_model.stable_poses[0].T_plane_object.copy()
+    T[:3, 3] += 0.4, 0.1, 0.02
+    ends = []
+    with PhysicsWorld(object_model, (), PARAMS) as world:
+        for _ in range(2):
+            world.rebuild("again", with_robot=True)
+            world.set_arm(HOME_Q_RAD, (0.04, 0.04))
+            world.set_object(T)
+            for _ in range(100):
+                world.step()
+            ends.append((world.object_pose().tobytes(), world.arm_state()[0].tobytes()))
+            world.remove_robot()
+            assert not world.has_robot
+    assert ends[0] == ends[1]
+
+
+def test_a_pose_that_is_not_finite_names_the_run() -> None:
+    T = np.eye(4)
+    T[0, 3] = np.nan
+    with PhysicsWorld(OBJECT_MODELS[0], (), PARAMS) as world:
+        world.rebuild("full-0007-t3-g05", with_robot=False)
+        world.set_object(T)
+        with pytest.raises(PhysicsError, match=r"full-0007-t3-g05.*must be finite"):
+            world.object_pose()
+
+
+def test_an_object_that_cannot_be_simulated_is_named() -> None:
+    with (
+        PhysicsWorld(dataclasses.replace(OBJECT_MODELS[0], parts=()), (), PARAMS) as world,
+        pytest.raises(PhysicsError, match="test_can with 0"),
+    ):
+        world.rebuild("no parts", with_robot=False)
+    flat = TriangleMesh(np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0.0]]), OBJECT_MODELS[0].parts[0].faces)
+    with pytest.raises(PhysicsError, match=r"test_can: part 0 .* volume 0"):
+        PhysicsWorld(dataclasses.replace(OBJECT_MODELS[0], parts=(flat,)), (), PARAMS)
+
+
+@pytest.mark.parametrize(("field", "value"), [("dt_s", 1 / 120), ("erp", 0.0), ("table_x_m", (1.0, 0.5)), ("max_finger_force_n", 10.0)])
+def test_params_are_valid_from_birth(field: str, value: object) -> None:
+    with pytest.raises(ValueError, match=field):
+        PhysicsParams(**{field: value})  # type: ignore[arg-type]

@@ -1,0 +1,107 @@
+"""Real scenes through the whole chain: any number of workers, any order, one id alone, a repeat in a fresh process: the same rows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from objects.build import build_object_models
+from objects.catalogue import catalogue_order, load_catalogue
+from pipelines.codecs import lifted_grasps, scenes_from_tables
+from pipelines.proofs.regenerate import main, regenerate
+from pipelines.proofs.repeats import Repeat, attempt_rows
+from pipelines.recipe import load_recipe
+from pipelines.running.data_root import DataRoot
+from pipelines.running.shard_runner import ShardInputs, StageReport, run_stage
+from pipelines.scenes.allocation import scene_allocation
+from pipelines.stages import STAGES
+from tables import schemas as s
+from tables.identity import IdentityError
+from tables.store import read_table
+from tables.vocabulary import Perturbation
+
+SHARD = "mini-000"
+# A can, a mug and a cuboid; few grasps, so that the chain takes seconds.
+SCENES = ("mini-0000", "mini-0004", "mini-0008")
+RECIPE = "[grasp_admission]\nquota = 3\n[camera]\n"
+
+
+@pytest.fixture(scope="module")
+def recipe_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recipe") / "recipe.toml"
+    path.write_text(RECIPE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def inputs(recipe_path: Path) -> ShardInputs:
+    recipe = load_recipe("mini", recipe_path)
+    allocations = [scene_allocation(scene_id, catalogue_order()) for scene_id in SCENES]
+    wanted = {allocation.object_id for allocation in allocations}
+    object_models = build_object_models([spec for spec in load_catalogue() if spec.object_id in wanted], recipe.objects, recipe.seed)
+    return ShardInputs(recipe, object_models, allocations, "objects")
+
+
+def _run(root: DataRoot, inputs: ShardInputs, n_workers: int) -> dict[str, StageReport]:
+    return {stage.name: run_stage(stage, SHARD, root, inputs, n_workers) for stage in STAGES}
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory, inputs: ShardInputs) -> tuple[DataRoot, dict[str, str]]:
+    root = DataRoot(tmp_path_factory.mktemp("built"))
+    reports = _run(root, inputs, 1)
+    return root, {name: sidecar.content_hash for report in reports.values() for name, sidecar in report.sidecars.items()}
+
+
+def test_two_workers_in_another_order_give_the_same_tables(
+    tmp_path: Path, inputs: ShardInputs, built: tuple[DataRoot, dict[str, str]]
+) -> None:
+    backwards = ShardInputs(inputs.recipe, inputs.object_models, inputs.allocations[::-1], inputs.objects_hash)
+    reports = _run(DataRoot(tmp_path), backwards, 2)
+    assert {name: x.content_hash for report in reports.values() for name, x in report.sidecars.items()} == built[1]
+
+
+def test_a_scene_alone_and_a_candidate_alone_are_identical(
+    inputs: ShardInputs, built: tuple[DataRoot, dict[str, str]], recipe_path: Path
+) -> None:
+    root = built[0]
+    candidates = read_table(s.PLANS, root.shard_table(SHARD, "plans"))["candidate_id"].to_pylist()
+    assert candidates, "at least one candidate must be planned, else nothing is shown"
+    for name in (SCENES[1], candidates[0]):
+        comparisons = regenerate(name, root, recipe_path, dict(inputs.object_models))
+        assert [c.table for c in comparisons if not c.is_identical] == [], name
+
+
+def test_a_changed_recipe_is_noticed(inputs: ShardInputs, built: tuple[DataRoot, dict[str, str]], tmp_path: Path) -> None:
+    other = tmp_path / "recipe.toml"
+    other.write_text(RECIPE + "[planning]\nrelease_height_m = 0.005\n")
+    comparisons = {c.table: c.is_identical for c in regenerate(SCENES[0], built[0], other, dict(inputs.object_models))}
+    assert comparisons["pick_lift"] is True
+    assert comparisons["execution_labels"] is False
+
+
+def test_a_repeat_in_a_fresh_process_is_identical_and_a_perturbed_one_says_so(
+    inputs: ShardInputs, built: tuple[DataRoot, dict[str, str]]
+) -> None:
+    root = built[0]
+    tables = root.read_shard(SHARD, [s.SCENES, s.OBSTACLES, s.TARGETS, s.PICK_LIFT, s.PLANNING_LABELS, s.EXECUTION_LABELS])
+    executed = {row["candidate_id"]: row for row in tables["execution_labels"].to_pylist()}
+    planned = {row["candidate_id"]: row for row in tables["planning_labels"].to_pylist()}
+    name = sorted(executed)[0]
+    scene = scenes_from_tables(tables["scenes"], tables["obstacles"], tables["targets"])[name[:9]]
+    lifted = lifted_grasps(row for row in tables["pick_lift"].to_pylist() if row["scene_id"] == scene.scene_id)
+    (grasp,) = (grasp for grasp in lifted if f"g{grasp.grasp_id:02d}" == name[-3:])
+    stored = planned[name] | executed[name]
+    kinds = (Perturbation.FRESH, Perturbation.FINE_STEP)
+    repeats = [Repeat(inputs.recipe, inputs.object_models[scene.object_id], scene, grasp, int(name[11]), stored, kind, 0) for kind in kinds]
+    rows = {row["perturbation"]: row for row in attempt_rows(repeats, 1)}
+    assert rows[Perturbation.FRESH.value]["is_identical"]
+    assert not rows[Perturbation.FINE_STEP.value]["is_identical"]
+
+
+def test_ids_that_do_not_exist_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(IdentityError, match="is not a scene id"):
+        regenerate("pilot-0001", DataRoot(Path("nowhere")))
+    assert main(["full-9999"]) == 1
+    assert "must be in [0, 1235)" in capsys.readouterr().err
