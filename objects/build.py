@@ -89,7 +89,7 @@ def object_models_of(tables: Iterable[ObjectTables]) -> dict[str, ObjectModel]:
 def inertia_kg_m2(mesh: trimesh.Trimesh, mass_kg: float) -> Float[np.ndarray, "3 3"]:
     """Inertia about the centroid of a solid of uniform density, object axes.
 
-    It is also used about a shifted centre of mass: a partly filled container's own inertia is smaller by at most the mass times the
+    It is also used about a shifted centre of mass: the inertia of a partly filled container is smaller by at most the mass times the
     square of the shift, and the uniform one is the safe side for the solver.
     """
     return np.asarray(mesh.moment_inertia) * (mass_kg / mesh.volume)

@@ -21,7 +21,7 @@ PACKAGED_CATALOGUE = Path(__file__).with_name("catalogue.toml")
 
 # The Panda may carry 3 kg with its hand; 1.2 kg at the fingertips is what its friction grip holds with a margin.
 MAX_MASS_KG = 1.2
-# Friction of the object's surface; the engine multiplies it by the finger's or the table's.
+# Friction of the object's surface; the engine multiplies it by that of the finger or the table.
 DEFAULT_FRICTION = 0.8
 _ID = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
@@ -38,8 +38,8 @@ class CanShape:
 class MugShape:
     """An open body of revolution, straight or tapered, and a handle in its xz plane.
 
-    `handle_reach_m` is how far the handle's outside stands off the brim's radius, `handle_z_m` the height of its middle above the
-    body's middle, `handle_squareness` the exponent of its superellipse: 2 is round like an ear, 4 and more square like a D.
+    `handle_reach_m` is how far the outside of the handle stands off the radius of the brim, `handle_z_m` the height of its middle above
+    the middle of the body, `handle_squareness` the exponent of its superellipse: 2 is round like an ear, 4 and more square like a D.
     """
 
     diameter_m: float
@@ -64,7 +64,7 @@ class CuboidShape:
 
 @dataclass(frozen=True, slots=True)
 class MeshShape:
-    """A mesh file of the user's, made metric by `scale`."""
+    """A mesh file that a user brings, made metric by `scale`."""
 
     path: Path
     scale: float = 1.0
@@ -75,7 +75,7 @@ Shape = CanShape | MugShape | CuboidShape | MeshShape
 
 @dataclass(frozen=True, slots=True)
 class ObjectSpec:
-    """One catalogue entry; `com_offset_m` moves the centre of mass off the solid's centroid (a partly filled container)."""
+    """One catalogue entry; `com_offset_m` moves the centre of mass off the centroid of the solid (a partly filled container)."""
 
     object_id: str
     category: Category

@@ -1,7 +1,8 @@
-"""Whether the gripper, while it approaches and closes, touches the object or the plane it rests on; scene and arm are grasp_admission's.
+"""Whether the gripper, while it approaches and closes, touches the object or the plane it rests on.
 
-Everything is tested against the convex parts, which cover the mesh, so that free here is free for the later stages as well. A finger
-that slides along a line sweeps a box, so the motion is tested whole, without steps.
+The obstacles of a scene and the arm are tested later, see pipelines/grasps/admission.py. Everything is tested against the convex parts,
+which cover the mesh, so that free here is free for the later stages as well. A finger that slides along a line sweeps a box, so the motion
+is tested whole, without steps.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ class GripperClearance:
     ) -> None:
         """
         Args:
-            probes_m: points all over the object's surface, for the quick test.
+            probes_m: points all over the surface of the object, for the quick test.
             palm_m: clearance that the hand must keep.
             skew_m: how far off its contact, on each side, a finger may already touch the object.
-            approach_m: length of the straight approach along the TCP's z.
+            approach_m: length of the straight approach along the z axis of the TCP.
         """
         self._parts = [_convex(part) for part in parts]
         self._probes_m = probes_m

@@ -1,4 +1,4 @@
-"""CoACD in a process of its own, so that a geometry that makes it abort becomes an error; the search is decomposition's."""
+"""CoACD in a process of its own, so that a geometry that makes it abort becomes an error; see decomposition.py for what is split."""
 
 from __future__ import annotations
 

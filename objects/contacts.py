@@ -1,4 +1,4 @@
-"""Antipodal contact pairs on a mesh by ray casting; what the gripper makes of them is grasp_pool's."""
+"""Antipodal contact pairs on a mesh by ray casting; see grasp_pool.py for the grasps made of them."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def _in_cone(axes: Float[np.ndarray, "n 3"], half_angle_rad: float, rng: np.rand
     cosine = rng.uniform(np.cos(half_angle_rad), 1.0, len(axes))
     sine, turn = np.sqrt(1.0 - cosine**2), rng.uniform(0.0, 2 * np.pi, len(axes))
     side_1, side_2 = perpendicular(axes)
-    return cosine[:, None] * axes + sine[:, None] * (np.cos(turn)[:, None] * side_1 + np.sin(turn)[:, None] * side_2)
+    return np.asarray(cosine[:, None] * axes + sine[:, None] * (np.cos(turn)[:, None] * side_1 + np.sin(turn)[:, None] * side_2))
 
 
 def perpendicular(axes: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:

@@ -1,7 +1,7 @@
-"""Convex parts of a solid by CoACD, the fewest that pass the gates; the solid itself is solids'.
+"""Convex parts of a solid by CoACD, the fewest that pass the gates; see solids.py for the solid itself.
 
-CoACD cuts only along the coordinate planes, which wastes parts on a ring: 20 parts fill 5 % of a mug's cavity. So it gets a hint, the
-mug's own construction: floor, wall sectors and handle are handed to it one by one, and it decides how many hulls each needs. 12 sectors
+CoACD cuts only along the coordinate planes, which wastes parts on a ring: 20 parts fill 5 % of the cavity of a mug. So it gets a
+hint, how the mug is made: floor, wall sectors and handle are handed to it one by one, and it decides how many hulls each needs. 12 sectors
 fill 4.5 % (1 - sin(a)/a for sectors of angle a), 10 fill 6.5 %, 16 fill 2.6 %.
 """
 
@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull
 
 from objects.catalogue import CanShape, CuboidShape, MugShape, ObjectSpec
 from objects.coacd_process import CoacdProcess
-from objects.errors import MeshError
+from objects.errors import MeshError, ObjectParamsError
 from objects.mug import floor_piece, handle_segments, wall_sectors
 from objects.object_model import TriangleMesh
 from objects.solids import Solid
@@ -27,29 +27,30 @@ from objects.solids import Solid
 class DecompositionParams:
     """Settings of the search, tried from few parts to many, and the gates that end it."""
 
-    # Wall sectors of a mug; all but 8 divide the body's 60 facets.
+    # Wall sectors of a mug; all but 8 divide the 60 facets of the body.
     wall_sectors: tuple[int, ...] = (8, 10, 12, 15, 20)
-    # Segments of a mug's handle, cut where it has turned by equal angles.
+    # Segments of the handle of a mug, cut where it has turned by equal angles.
     handle_segments: tuple[int, ...] = (3, 4, 5, 6, 8)
-    # CoACD's concavity threshold: the first for the pieces of a mug, all in turn for a user's mesh.
+    # Concavity threshold of CoACD: the first for the pieces of a mug, all in turn for the mesh of a user.
     thresholds: tuple[float, ...] = (0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02)
-    # A third of CoACD's default search: the same parts on these solids in a third of the time.
+    # A third of the default search of CoACD: the same parts on these solids in a third of the time.
     mcts_iterations: int = 60
     mcts_nodes: int = 10
     resolution: int = 1000
     max_hull_vertices: int = 128  # a disc of 60 facets has 120: with 64 a thin floor lost its lower ring, and the mug leaned 3.7 degrees
-    # A finger must go in: a fill of 5 % moves a mug's inner wall by at most 1.3 mm (12 sectors of a 74 mm cavity). Physics does not ask
-    # for fewer: a pick-lift of the 11 oz mug costs 54 to 67 ms with 12, 14, 17, 20 or 27 parts.
+    # A finger must go in: a fill of 5 % moves the inner wall of a mug by at most 1.3 mm (12 sectors of a 74 mm cavity). Physics does not
+    # ask for fewer: a pick-lift of the 11 oz mug costs 54 to 67 ms with 12, 14, 17, 20 or 27 parts.
     max_cavity_fill: float = 0.05
     max_handle_hole_fill: float = 0.10
     # Sum of hull volumes over mesh volume. Thin walls make it large (a 2.5 mm wall of 12 sectors: 1.27) while the cavity stays open.
     max_volume_ratio: float = 1.40
-    # A user's mesh has no named cavity to check: its parts must stay this close to it, or fingers would meet what is not there.
+    # The mesh of a user has no named cavity to check: its parts must stay this close to it, or fingers would meet what is not there.
     max_mesh_volume_ratio: float = 1.08
     # A can or cuboid is its own hull: anything else is a broken solid.
     max_convex_volume_ratio: float = 1.0001
     max_parts: int = 32
-    # How far the solid's convex hull may stick out of the parts': an object stands on it, and half a millimetre tilts a mug by a degree.
+    # How far the convex hull of the solid may stick out of the convex hull of the parts: an object stands on it, and half a millimetre
+    # tilts a mug by a degree.
     max_missing_m: float = 0.0005
 
     def __post_init__(self) -> None:
@@ -68,13 +69,13 @@ class DecompositionParams:
         ):
             value = getattr(self, name)
             if not low <= value <= high:
-                raise ValueError(f"DecompositionParams.{name} = {value}, must be in [{low}, {high}]")
+                raise ObjectParamsError(f"DecompositionParams.{name} = {value}, must be in [{low}, {high}]")
         for name in ("wall_sectors", "handle_segments"):
             counts = getattr(self, name)
             if not counts or min(counts) < 3 or list(counts) != sorted(counts):
-                raise ValueError(f"DecompositionParams.{name} = {counts}, must be ascending numbers >= 3")
+                raise ObjectParamsError(f"DecompositionParams.{name} = {counts}, must be ascending numbers >= 3")
         if not self.thresholds or list(self.thresholds) != sorted(self.thresholds, reverse=True) or self.thresholds[-1] <= 0.0:
-            raise ValueError(f"DecompositionParams.thresholds = {self.thresholds}, must be descending numbers > 0")
+            raise ObjectParamsError(f"DecompositionParams.thresholds = {self.thresholds}, must be descending numbers > 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +93,7 @@ def decompose(spec: ObjectSpec, solid: Solid, params: DecompositionParams, coacd
     """The fewest convex parts that pass the gates.
 
     Args:
-        coacd_seed: seed of CoACD's tree search, in [0, 2**31).
+        coacd_seed: seed of the tree search in CoACD, in [0, 2**31).
 
     Raises:
         MeshError: no setting passes; names the value that misses its bound by most.
@@ -115,7 +116,7 @@ def decompose(spec: ObjectSpec, solid: Solid, params: DecompositionParams, coacd
         ("share of the cavity filled by the convex parts", cavity_fill, params.max_cavity_fill),
         ("share of the handle hole filled by the convex parts", hole_fill, params.max_handle_hole_fill),
         ("number of convex parts", len(hulls), params.max_parts),
-        ("metres that the solid's hull sticks out of the parts'", _missing_m(solid.mesh, hulls), params.max_missing_m),
+        ("metres that the hull of the solid sticks out of the hull of the parts", _missing_m(solid.mesh, hulls), params.max_missing_m),
     ):
         if value is not None and value > bound:
             raise MeshError(f"{spec.object_id}: {name} {value:.4g}, must be at most {bound:.4g}")
@@ -164,7 +165,7 @@ def _mug_hulls(child: CoacdProcess, shape: MugShape, solid: Solid, params: Decom
 
 
 def _mesh_hulls(child: CoacdProcess, mesh: trimesh.Trimesh, params: DecompositionParams, coacd_seed: int) -> list[trimesh.Trimesh]:
-    """Fewest hulls of a user's mesh whose volume is close enough; the mesh's own hull where that already is."""
+    """Fewest hulls of the mesh of a user whose volume is close enough; the hull of the whole mesh where that already is."""
     hulls = [mesh.convex_hull]
     if _volume_ratio(mesh, hulls) <= params.max_convex_volume_ratio:
         return hulls

@@ -1,4 +1,4 @@
-"""A picture of one object: its convex parts, its whole grasp pool, and one grasp of each kind with the gripper's boxes."""
+"""A picture of one object: its convex parts, its whole grasp pool, and one grasp of each kind with the boxes of the gripper."""
 
 from __future__ import annotations
 
@@ -86,11 +86,11 @@ def _fork(grasp: PoolGrasp) -> Float[np.ndarray, "4 2 3"]:
         [[0, -y, root], [0, y, root]],
         [[0, 0, root], [0, 0, wrist]],
     ])  # fmt: skip
-    return local @ grasp.T_object_grasp[:3, :3].T + grasp.T_object_grasp[:3, 3]
+    return np.asarray(local @ grasp.T_object_grasp[:3, :3].T + grasp.T_object_grasp[:3, 3])
 
 
 def _add_gripper(axes: Any, grasp: PoolGrasp, colour: tuple[float, ...]) -> None:
-    """Edges of the gripper's boxes: hand, fingers at the grasped width, and thin the fingers at the opening they approach with."""
+    """Edges of the boxes of the gripper: hand, fingers at the grasped width, and thin the fingers at the opening they approach with."""
     for jaw_m, alpha in ((min(grasp.jaw_width_m, MAX_JAW_M), 1.0), (open_jaw_m(grasp.jaw_width_m), 0.3)):
         for T, size in zip(*gripper_boxes(jaw_m), strict=True):
             corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size

@@ -1,10 +1,14 @@
-"""The one exception family of the objects room, caught where a user meets it."""
+"""The one exception family of the objects room, caught where a user meets it; nothing in objects/ raises another class of its own."""
 
 from __future__ import annotations
 
 
 class ObjectError(ValueError):
-    """An object that cannot be built; names object, value and bound."""
+    """The base of the family: an object that cannot be built or used; names object, value and bound."""
+
+
+class ObjectParamsError(ObjectError):
+    """A parameter of the build that is out of bounds."""
 
 
 class CatalogueError(ObjectError):
@@ -21,3 +25,11 @@ class StablePoseError(ObjectError):
 
 class GraspError(ObjectError):
     """An object that the gripper cannot hold in enough ways."""
+
+
+class UnknownGraspError(ObjectError, LookupError):
+    """A grasp id that the pool of an object does not have."""
+
+
+class GripperError(ObjectError):
+    """An opening that the jaw does not have."""

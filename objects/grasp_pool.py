@@ -1,7 +1,7 @@
-"""The grasp pool: diverse antipodal grasps on one object, in its own frame; scene collisions and the arm are grasp_admission's.
+"""The grasp pool: diverse antipodal grasps on one object, in its own frame; see pipelines/grasps/admission.py for a scene and the arm.
 
-Contact pairs come from ray casting (contacts), each is approached from several directions about the jaw line, the gripper's own
-clearance is tested (clearance), and the pool is chosen by farthest points in pose space, evenly over resting poses and kinds.
+Contact pairs come from ray casting (contacts), each is approached from several directions about the jaw line, the clearance
+of the gripper is tested (clearance), and the pool is chosen by farthest points in pose space, evenly over resting poses and kinds.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from objects.catalogue import ObjectSpec
 from objects.clearance import GripperClearance, clears_table, reach_chance
 from objects.contacts import ContactPairs, antipodal_pairs, perpendicular, sharp_edge_distance, surface_points
-from objects.errors import GraspError
+from objects.errors import GraspError, ObjectParamsError
 from objects.grasp_kinds import NO_KIND, grasp_kinds
 from objects.gripper import MAX_JAW_M, OPEN_CLEARANCE_M
 from objects.object_model import PoolGrasp, StablePose, TriangleMesh
@@ -35,23 +35,23 @@ class GraspPoolParams:
     """How grasps are sampled, which are refused, and how the pool is chosen."""
 
     n_grasps: int = 64
-    # Below this an object of a user's is refused: a scene needs 24 lifted grasps out of its pool.
+    # Below this an object that a user adds is refused: a scene needs 24 lifted grasps out of its pool.
     min_grasps: int = 16
     n_surface_samples: int = 1500
-    # Most hit the table or the object with the hand; a mug's side needs this many to find the few that do not.
+    # Most hit the table or the object with the hand; the side of a mug needs this many to find the few that do not.
     n_candidates: int = 24_000
     # Friction cone of a rubber pad, tan(angle) = 0.4: what a clean pad holds on most surfaces. The recipe sets its own.
     friction: float = 0.4
-    # Pads are flat: a contact far off the normal is no contact of the pad's middle. 0.1 rad is 3 mm on a 66 mm can.
+    # Pads are flat: a contact far off the normal is no contact of the middle of the pad. 0.1 rad is 3 mm on a 66 mm can.
     jitter_rad: float = 0.1
     # The pads are 17.5 x 18.5 mm; nearer to an edge than this, less than two thirds of a pad hold.
     edge_margin_m: float = 0.004
     # Palm contact poisons later labels: the object shifts in the hand, the retreat is blocked.
     palm_clearance_m: float = 0.004
-    # The jaw's play on each side of the widest grasp.
+    # The play of the jaw on each side of the widest grasp.
     finger_clearance_m: float = 0.0025
-    # A finger may touch the object this far before its contact: a flat pad in a round cavity does by 1 to 2 mm, the cavity's convex
-    # parts add 1.4, and 4 mm over half a pad is a skew of 23 degrees.
+    # A finger may touch the object this far before its contact: a flat pad in a round cavity does by 1 to 2 mm, the convex parts
+    # of the cavity add 1.4, and 4 mm over half a pad is a skew of 23 degrees.
     skew_m: float = 0.004
     approach_m: float = 0.10
     # Hand to table: what admission demands, and a millimetre.
@@ -103,11 +103,11 @@ class GraspPoolParams:
         ):
             value = getattr(self, name)
             if not low <= value <= high:
-                raise ValueError(f"GraspPoolParams.{name} = {value}, must be in [{low}, {high}]")
+                raise ObjectParamsError(f"GraspPoolParams.{name} = {value}, must be in [{low}, {high}]")
         if not self.depths_m or max(map(abs, self.depths_m)) > 0.007:
-            raise ValueError(f"GraspPoolParams.depths_m = {self.depths_m}, must lie in [-0.007, 0.007] m, on the pads")
+            raise ObjectParamsError(f"GraspPoolParams.depths_m = {self.depths_m}, must lie in [-0.007, 0.007] m, on the pads")
         if min(self.shares.values(), default=0.0) <= 0.0:
-            raise ValueError(f"GraspPoolParams.shares = {dict(self.shares)}, must be positive")
+            raise ObjectParamsError(f"GraspPoolParams.shares = {dict(self.shares)}, must be positive")
 
     @property
     def max_width_m(self) -> float:
@@ -203,7 +203,7 @@ def _candidates(
     serves = np.stack([_serves(spec, rest, T, pairs, com_m, params) for rest in rests], axis=1)
     # A grasp that serves several resting poses can turn the object from one to another; one that serves a single pose surely is as good.
     rating = (serves.mean(axis=1) + serves.max(axis=1)) / 2
-    # People approach along an object's axes.
+    # People approach along the axes of an object.
     rating *= np.where(np.abs(approach).max(axis=1) > np.cos(np.radians(1.0)), 1.0, 0.75)
     return _Candidates(T, pairs, grasp_kinds(spec, T, pairs), serves, rating)
 

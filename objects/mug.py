@@ -1,6 +1,6 @@
 """The solid of a mug from its shape, and the same solid in pieces for the decomposition; other solids are in solids.
 
-Object frame: origin at the middle of the body's axis, z up when upright, the handle in the xz plane along +x.
+Object frame: origin at the middle of the axis of the body, z up when upright, the handle in the xz plane along +x.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def mug_cavity(shape: MugShape) -> trimesh.Trimesh:
 
 
 def mug_handle_hole(shape: MugShape) -> trimesh.Trimesh:
-    """What a finger can pass through: the space between handle and wall, half the handle's width deep."""
+    """What a finger can pass through: the space between handle and wall, half the width of the handle deep."""
     outer, _ = _profiles(shape)
     path = _handle_path(shape)
     inside = path - shape.handle_thickness_m / 2 * _outward(path)
@@ -43,7 +43,8 @@ def mug_handle_hole(shape: MugShape) -> trimesh.Trimesh:
     outline = np.vstack([[wall_x, inside[0, 1]], inside, [wall_x, inside[-1, 1]]])
     plate = _plate(outline, shape.handle_width_m / 2)
     solid_body = _revolved([*outer, (0.0, shape.height_m / 2)])
-    return trimesh.boolean.difference([plate, solid_body], engine="manifold", check_volume=False)
+    hole: trimesh.Trimesh = trimesh.boolean.difference([plate, solid_body], engine="manifold", check_volume=False)
+    return hole
 
 
 def floor_piece(shape: MugShape) -> trimesh.Trimesh:
@@ -79,7 +80,8 @@ def handle_segments(shape: MugShape, n_segments: int) -> list[trimesh.Trimesh]:
 
 def joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     """Boolean union."""
-    return trimesh.boolean.union(meshes, engine="manifold", check_volume=False)
+    union: trimesh.Trimesh = trimesh.boolean.union(meshes, engine="manifold", check_volume=False)
+    return union
 
 
 def _profiles(shape: MugShape) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:

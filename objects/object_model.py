@@ -1,4 +1,4 @@
-"""Everything a stage needs of one object, read back from the object tables; building it is solids' and grasp_pool's."""
+"""Everything a stage needs of one object, read back from the object tables; see build.py for how it is made."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 
+from objects.errors import UnknownGraspError
 from tables.poses import matrix_of, pose_columns, rotation_angle_rad
 from tables.vocabulary import Symmetry
 
@@ -58,8 +59,20 @@ class ObjectModel:
     stable_poses: tuple[StablePose, ...]
     grasps: tuple[PoolGrasp, ...]
 
+    def grasp(self, grasp_id: int) -> PoolGrasp:
+        """The pool grasp of an id.
+
+        Raises:
+            UnknownGraspError: the pool has no such grasp; names the object, the id and the ids that there are.
+        """
+        for grasp in self.grasps:
+            if grasp.grasp_id == grasp_id:
+                return grasp
+        ids = [grasp.grasp_id for grasp in self.grasps]
+        raise UnknownGraspError(f"{self.object_id}: grasp {grasp_id} is not in the pool, must be one of {ids}")
+
     def rotation_error_rad(self, R_a: Float[np.ndarray, "3 3"], R_b: Float[np.ndarray, "3 3"]) -> float:
-        """Smallest rotation between two object orientations, modulo the object's symmetry, in [0, pi]."""
+        """Smallest rotation between two object orientations, modulo the symmetry of the object, in [0, pi]."""
         if self.symmetry is Symmetry.REVOLUTION_Z:
             cosine = float(np.clip(R_a[:, 2] @ R_b[:, 2], -1.0, 1.0))
             return float(np.arctan2(np.linalg.norm(np.cross(R_a[:, 2], R_b[:, 2])), cosine))

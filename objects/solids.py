@@ -1,7 +1,7 @@
-"""Watertight solids of catalogue objects and of users' own mesh files; convex parts are decomposition's.
+"""Watertight solids of catalogue objects and of mesh files that users bring; see decomposition.py for their convex parts.
 
-Object frame: origin at the centre of the bounding box of the body (of a mug: the body without its handle), z the body's axis
-when upright, a mug's handle along +x.
+Object frame: origin at the centre of the bounding box of the body (of a mug: the body without its handle), z the axis of the
+body when upright, the handle of a mug along +x.
 """
 
 from __future__ import annotations

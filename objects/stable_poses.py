@@ -1,7 +1,8 @@
-"""Resting poses of an object on a horizontal plane, merged by symmetry; whether they hold in physics is scene_sampling's.
+"""Resting poses of an object on a horizontal plane, merged by symmetry.
 
-The quasi-static estimate of Goldberg et al., "Part pose statistics" (IJRR 1999), as trimesh computes it: dropped at a random
-orientation, the object tumbles over the edges of its convex hull until the centre of mass stays above a facet.
+Whether they hold in physics is found out when a scene is drawn, see pipelines/scenes/sampling.py. The quasi-static estimate of Goldberg
+et al., "Part pose statistics" (IJRR 1999), as trimesh computes it: dropped at a random orientation, the object tumbles over the edges of
+its convex hull until the centre of mass stays above a facet.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from objects.catalogue import ObjectSpec
-from objects.errors import StablePoseError
+from objects.errors import ObjectParamsError, StablePoseError
 from objects.object_model import StablePose
 from tables.vocabulary import Category, Symmetry
 
@@ -36,7 +37,7 @@ class StablePoseParams:
         for name, low, high in (("min_probability", 0.0, 0.5), ("min_tip_rad", 0.0, 0.5), ("merge_rad", 0.0, 0.5)):
             value = getattr(self, name)
             if not low <= value <= high:
-                raise ValueError(f"StablePoseParams.{name} = {value}, must be in [{low}, {high}]")
+                raise ObjectParamsError(f"StablePoseParams.{name} = {value}, must be in [{low}, {high}]")
 
 
 def stable_poses(

@@ -123,7 +123,7 @@ def test_the_search_takes_the_fewest_parts_that_pass() -> None:
         ({"max_volume_ratio": 1.01}, "over mesh volume"),
         ({"max_parts": 10}, "number of convex parts 12, must be at most 10"),
         # A hull of too few vertices loses the ring that the mug stands on.
-        ({"max_hull_vertices": 16}, "sticks out of the parts'"),
+        ({"max_hull_vertices": 16}, "sticks out of the hull of the parts"),
     ],
 )
 def test_a_gate_that_no_setting_passes_is_an_error(changes: dict[str, float], said: str) -> None:
