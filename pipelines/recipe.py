@@ -65,6 +65,9 @@ def load_recipe(family: str, path: Path = DEFAULT_RECIPE) -> Recipe:
         raise RecipeError(f"family {family!r}, must be one of {list(FAMILIES)}")
     content = tomllib.loads(path.read_text(encoding="utf-8"))
     overrides = {name: content.pop(name, {}) for name in FAMILIES}
+    for name, override in overrides.items():
+        if isinstance(override, Mapping) and "objects" in override:
+            raise RecipeError(f"recipe.{name}.objects: {override['objects']!r}, must not be there: objects are shared by all families")
     return _build(Recipe, _merged(content, overrides[family]), "recipe")
 
 

@@ -45,6 +45,20 @@ def test_a_whole_number_is_a_real_number(tmp_path: Path) -> None:
     assert load_recipe("full", _write(tmp_path, "[motion]\nvelocity_scale = 1\n")).motion.velocity_scale == 1.0
 
 
+@pytest.mark.parametrize("loaded", ["mini", "full"])
+@pytest.mark.parametrize("family", ["mini", "full"])
+def test_objects_of_one_family_only_are_refused_whichever_family_is_loaded(tmp_path: Path, family: str, loaded: str) -> None:
+    path = _write(tmp_path, f"[{family}.objects.grasp_pool]\nn_grasps = 32\n")
+    with pytest.raises(RecipeError, match=rf"recipe\.{family}\.objects: .*'n_grasps': 32.*objects are shared by all families"):
+        load_recipe(loaded, path)
+
+
+def test_objects_of_all_families_are_read_for_each(tmp_path: Path) -> None:
+    path = _write(tmp_path, "[objects.grasp_pool]\nn_grasps = 32\n[mini.grasp_admission]\nquota = 3\n")
+    assert load_recipe("mini", path).objects == load_recipe("full", path).objects
+    assert load_recipe("mini", path).objects.grasp_pool.n_grasps == 32
+
+
 def test_an_unknown_family_is_refused() -> None:
     with pytest.raises(RecipeError, match="family 'pilot'"):
         load_recipe("pilot")
