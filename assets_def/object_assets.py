@@ -1,4 +1,7 @@
-"""Objects from the catalogue: watertight meshes, convex parts, stable poses, grasp pools; the work is objects.build's."""
+"""Objects from the catalogue: watertight meshes, convex parts, stable poses, grasp pools.
+
+See pipelines/running/object_tables.py for the work.
+"""
 
 from collections.abc import Iterator
 
@@ -7,19 +10,21 @@ from dagster import AssetCheckResult, AssetExecutionContext, AssetSpec, DataVers
 from assets_def.checks import schema_check, schema_check_spec
 from assets_def.metadata import table_metadata
 from assets_def.resources import Benchmark
+from objects.provenance import OBJECT_CODE_VERSION
 from pipelines.running.data_root import OBJECT_TABLES
-from pipelines.running.object_tables import OBJECT_CODE_VERSION, make_object_tables
+from pipelines.running.object_tables import make_object_tables
 from tables.schemas import ALL_SCHEMAS
 
+# What `build_object` reads of the other tables' values on its way to each table.
 _UPSTREAM = {
     "object_meshes": [],
     "object_parts": ["object_meshes"],
     "stable_poses": ["object_meshes"],
-    "grasp_pool": ["object_meshes", "object_parts"],
+    "grasp_pool": ["object_meshes", "object_parts", "stable_poses"],
     "objects": ["object_meshes", "object_parts", "grasp_pool"],
 }
 _DESCRIPTIONS = {
-    "object_meshes": "Builds one watertight triangle mesh for each of the 30 catalogue objects.",
+    "object_meshes": "Builds one watertight triangle mesh for each catalogue object.",
     "object_parts": "Decomposes each mesh into convex parts with CoACD, the fewest that keep a mug's cavity and handle hole open.",
     "stable_poses": "Finds the poses in which each object rests on a table, merged by symmetry, with probabilities.",
     "grasp_pool": "Samples antipodal grasps on each mesh and keeps 64 diverse ones an object.",
@@ -42,7 +47,8 @@ _DESCRIPTIONS = {
     ],
     check_specs=[schema_check_spec(ALL_SCHEMAS[name]) for name in OBJECT_TABLES],
 )
-def object_assets(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
+def object_assets(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
+    # Objects are shared by all families of scenes: the recipe refuses to have them differ, so that any family may be asked.
     sidecars = make_object_tables(benchmark.root, benchmark.recipe("full"), benchmark.n_workers, context.log.info)
     for name in ("object_meshes", "object_parts", "stable_poses", "grasp_pool", "objects"):
         path, schema = benchmark.root.object_table(name), ALL_SCHEMAS[name]

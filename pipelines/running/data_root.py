@@ -24,6 +24,10 @@ class DataRoot:
     def object_table(self, table: str) -> Path:
         return self.path / "objects" / f"{table}.parquet"
 
+    def built_object(self, object_id: str, table: str) -> Path:
+        """One object of the five tables; see object_store.py."""
+        return self.path / "objects" / ".built" / object_id / f"{table}.parquet"
+
     def shard_table(self, shard: str, table: str) -> Path:
         return self.path / "shards" / shard / f"{table}.parquet"
 

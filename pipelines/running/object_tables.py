@@ -1,73 +1,96 @@
-"""Builds the object tables on all cores and publishes them; how an object is built is objects.build's."""
+"""Publishes the object tables: builds the objects that changed, on all cores, and joins them with those that did not.
+
+See objects/build.py for how an object is built and object_store.py for where a built one is kept.
+"""
 
 from __future__ import annotations
 
-import dataclasses
-import hashlib
-import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
-from objects.build import ObjectParams, ObjectTables, build_object
-from objects.catalogue import ObjectSpec, load_catalogue
+import pyarrow as pa
+
+from objects.build import build_object
+from objects.catalogue import PACKAGED_CATALOGUE, ObjectSpec, load_catalogue
+from objects.errors import ObjectError
+from objects.provenance import catalogue_sources, object_sources
 from pipelines.recipe import Recipe
 from pipelines.running.data_root import OBJECT_TABLES, DataRoot
+from pipelines.running.object_store import ObjectStore, intact_sidecars
 from pipelines.running.workers import run_units
-from tables.schemas import ALL_SCHEMAS, SCHEMA_VERSION
-from tables.store import Sidecar, file_sha256, read_sidecar, sidecar_path, table_from_rows, write_table
+from tables.columns import SchemaError
+from tables.schemas import ALL_SCHEMAS
+from tables.store import Sidecar, join_tables, write_table
 
-OBJECT_CODE_VERSION = "2"
 
-
-class ObjectTablesError(RuntimeError):
+class ObjectTablesError(ObjectError):
     """Objects of the catalogue that could not be built; names each one and why."""
 
 
-def make_object_tables(root: DataRoot, recipe: Recipe, n_workers: int, log: Callable[[str], Any] = print) -> dict[str, Sidecar]:
+def make_object_tables(
+    root: DataRoot, recipe: Recipe, n_workers: int, log: Callable[[str], Any] = print, catalogue: Path = PACKAGED_CATALOGUE
+) -> dict[str, Sidecar]:
     """Publish `objects`, `object_meshes`, `object_parts`, `stable_poses` and `grasp_pool`, or keep them where nothing changed.
 
+    An object is built only where its own sources changed (see objects/provenance.py) or what is kept of it is damaged. The tables are the
+    same bits as if all objects had been built at once.
+
+    Args:
+        n_workers: worker processes; 0 stays in this process. The result does not depend on it.
+        log: is told of every object that was built.
+
+    Returns:
+        Sidecar of each table by name.
+
     Raises:
-        ObjectTablesError: at least one object failed; nothing is published then.
+        CatalogueError: the catalogue is not what it should be.
+        ObjectTablesError: at least one object failed. Nothing is published then; the others are kept, and the next run builds only the
+            failed ones.
     """
-    specs = load_catalogue()
-    catalogue = json.dumps([dataclasses.asdict(spec) for spec in specs], sort_keys=True, default=str)
-    made_from = {
-        "catalogue": hashlib.sha256(catalogue.encode()).hexdigest(),
-        "recipe": recipe.hash_of("objects"),
-        "code": OBJECT_CODE_VERSION,
-    }
+    specs = load_catalogue(catalogue)
+    sources = catalogue_sources(specs, recipe.objects, recipe.seed)
     paths = {name: root.object_table(name) for name in OBJECT_TABLES}
-    if all(path.exists() and sidecar_path(path).exists() for path in paths.values()):
-        sidecars = {name: read_sidecar(path) for name, path in paths.items()}
-        if all(_is_current(sidecars[name], made_from) and file_sha256(paths[name]) == sidecars[name].sha256 for name in paths):
-            log("objects: up to date")
-            return sidecars
-    built: dict[int, ObjectTables] = {}
-    failures = []
-    with closing(run_units(_build, [(spec, recipe.objects, recipe.seed) for spec in specs], n_workers)) as outcomes:
-        for outcome in outcomes:
-            if outcome.error is None:
-                built[outcome.index] = outcome.value
-                log(f"objects: {specs[outcome.index].object_id} in {outcome.core_ms / 1e3:.1f} s ({len(built)} of {len(specs)})")
-            else:
-                failures.append(f"{specs[outcome.index].object_id}: {outcome.error}")
-    if failures:
-        raise ObjectTablesError(f"{len(failures)} of {len(specs)} objects failed, must be 0:\n" + "\n".join(sorted(failures)))
+    published = intact_sidecars(paths, sources, "published tables", log)
+    if published is not None:
+        log("objects: up to date")
+        return published
+    built = _all_objects(specs, recipe, ObjectStore(root, log), n_workers, log)
     return {
         name: write_table(
-            ALL_SCHEMAS[name],
-            table_from_rows(ALL_SCHEMAS[name], [row for k in range(len(specs)) for row in getattr(built[k], name)]),
-            paths[name],
-            made_from,
+            ALL_SCHEMAS[name], join_tables(ALL_SCHEMAS[name], [built[spec.object_id][name] for spec in specs]), paths[name], sources
         )
         for name in OBJECT_TABLES
     }
 
 
-def _build(spec: ObjectSpec, params: ObjectParams, seed: int) -> ObjectTables:
-    return build_object(spec, params, seed)
-
-
-def _is_current(sidecar: Sidecar, made_from: dict[str, str]) -> bool:
-    return sidecar.made_from == made_from and sidecar.schema_version == SCHEMA_VERSION
+def _all_objects(
+    specs: Sequence[ObjectSpec], recipe: Recipe, store: ObjectStore, n_workers: int, log: Callable[[str], Any]
+) -> dict[str, dict[str, pa.Table]]:
+    """The five tables of each object by id: from the store where its sources are the same, built and stored where not."""
+    sources = {spec.object_id: object_sources(spec, recipe.objects, recipe.seed) for spec in specs}
+    kept = {spec.object_id: store.read(spec.object_id, sources[spec.object_id]) for spec in specs}
+    done = {object_id: tables for object_id, tables in kept.items() if tables is not None}
+    missing = [spec for spec in specs if spec.object_id not in done]
+    if done:
+        log(f"objects: {len(done)} of {len(specs)} unchanged")
+    if not missing:  # no workers to start
+        return done
+    failures = []
+    with closing(run_units(build_object, [(spec, recipe.objects, recipe.seed) for spec in missing], n_workers)) as outcomes:
+        for n_done, outcome in enumerate(outcomes, 1):
+            object_id, error = missing[outcome.index].object_id, outcome.error
+            if error is None:
+                try:
+                    done[object_id] = store.write(object_id, outcome.value, sources[object_id])
+                except SchemaError as failure:
+                    error = f"SchemaError: {failure}"
+            if error is None:
+                log(f"objects: {object_id} in {outcome.core_ms / 1e3:.1f} s ({n_done} of {len(missing)})")
+            else:
+                failures.append(f"{object_id}: {error}")
+    if failures:
+        reasons = "\n".join(sorted(failures))
+        raise ObjectTablesError(f"{len(failures)} of {len(specs)} objects failed, must be 0; the others are kept:\n{reasons}")
+    return done
