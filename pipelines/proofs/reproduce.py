@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import random
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -22,7 +21,7 @@ from pipelines.running.data_root import OBJECT_TABLES, DataRoot
 from pipelines.running.object_tables import make_object_tables
 from pipelines.running.shard_runner import load_shard_inputs, run_stage
 from pipelines.stages import STAGES
-from tables.identity import parse_scene_id, scenes_of_shard
+from tables.identity import order_key, parse_scene_id, scenes_of_shard
 from tables.schemas import CANDIDATE_PAIRS
 from tables.store import read_sidecar, read_table
 
@@ -36,7 +35,7 @@ def reproduce(shard: str, n_scenes: int, n_alone: int, folder: Path, console: Co
     first, second = roots.values()
     whole = load_shard_inputs(first, shard, recipe)
     inputs = replace(whole, allocations=whole.allocations[:n_scenes])
-    shuffled = replace(inputs, allocations=random.Random(0).sample(list(inputs.allocations), len(inputs.allocations)))
+    shuffled = replace(inputs, allocations=sorted(inputs.allocations, key=lambda a: order_key(recipe.seed, "reproduce", a.scene_id)))
     table = Table("table", "rows", *roots, "same")
     is_same = True
     for name in OBJECT_TABLES:
@@ -50,7 +49,7 @@ def reproduce(shard: str, n_scenes: int, n_alone: int, folder: Path, console: Co
 
     alone = [allocation.scene_id for allocation in inputs.allocations[:n_alone]]
     candidates = read_table(CANDIDATE_PAIRS, first.shard_table(shard, "candidate_pairs"))["candidate_id"].to_pylist()
-    alone += random.Random(1).sample(candidates, min(len(candidates), 2 * n_alone))
+    alone += sorted(candidates, key=lambda candidate_id: order_key(recipe.seed, "reproduce", candidate_id))[: 2 * n_alone]
     for name in alone:
         differing = [c.table for c in regenerate(name, first) if c.is_identical is not True]
         console.print(f"{name} alone: {'identical in every table' if not differing else f'DIFFERENT in {differing}'}")

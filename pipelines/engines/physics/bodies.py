@@ -12,20 +12,17 @@ import pybullet_data
 from jaxtyping import Float, Int
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
-from scipy.spatial.transform import Rotation
 
 from objects.gripper import FINGER_BOXES
 from objects.object_model import ObjectModel, TriangleMesh
 from pipelines.engines.physics.errors import PhysicsError
+from pipelines.engines.physics.link_directions import LINK_DIRECTIONS
 from tables.poses import pose_of
 
 # Bullet pads every convex hull by this much and nothing can turn it off (`collisionMargin=0` does not); boxes it pads inwards.
 HULL_MARGIN_M = 0.001
 # What obstacles and table can still reach of the arm; the planner keeps the links before these away from everything.
 COLLIDING_LINKS = ("panda_link5", "panda_link6", "panda_link7", "panda_hand")
-# Directions whose farthest points stand for a link: within 6 mm of the exact hull and never outside it (tested), at a fifth of its load
-# time. Paths are checked against the exact hulls when they are planned; in physics a link may only err on the side of not touching.
-_N_LINK_DIRECTIONS = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,12 +145,15 @@ def _obj_text(meshes: list[TriangleMesh]) -> str:
 
 @lru_cache(maxsize=1)
 def link_hulls() -> dict[str, TriangleMesh]:
-    """Simplified convex hulls of the links that collide, link frames; with Bullet's padding inside the exact hulls."""
-    directions = Rotation.random(_N_LINK_DIRECTIONS, rng=0).apply([0.0, 0.0, 1.0])
+    """Simplified convex hulls of the links that collide, link frames; with Bullet's padding inside the exact hulls.
+
+    Within 6 mm of the exact hull and never outside it (tested), at a fifth of its load time. Paths are checked against the exact hulls
+    when they are planned; in physics a link may only err on the side of not touching.
+    """
     hulls = {}
     for link in COLLIDING_LINKS:
         vertices_m = link_mesh_vertices(link)
-        hull = hull_mesh(vertices_m[np.unique(np.argmax(directions @ vertices_m.T, axis=1))])
+        hull = hull_mesh(vertices_m[np.unique(np.argmax(LINK_DIRECTIONS @ vertices_m.T, axis=1))])
         # Half-extents are cut by twice the padding: oblique faces move less than the axes do. `shrunk_hull` would add vertices.
         low_m, high_m = hull.vertices_m.min(axis=0), hull.vertices_m.max(axis=0)
         scale = 1.0 - 4 * HULL_MARGIN_M / (high_m - low_m)
