@@ -25,6 +25,7 @@ from rich.table import Column, Table
 from assets_def.resources import REPOSITORY, Benchmark
 from assets_def.stages import stage_assets
 from pipelines.codecs import scenes_from_tables
+from pipelines.frames import frame_of
 from pipelines.proofs.cpu_profile import largest_costs
 from pipelines.proofs.engine_baselines import bare_step_us, collision_check_us
 from pipelines.running.data_root import DataRoot
@@ -32,7 +33,6 @@ from pipelines.running.object_tables import make_object_tables
 from pipelines.running.shard_runner import load_shard_inputs, read_timings
 from pipelines.running.workers import run_units
 from pipelines.stages import STAGE, STAGES
-from splits.frames import frame_of
 from tables.schemas import ALL_SCHEMAS
 from tables.store import read_tables, write_text_atomically
 

@@ -7,9 +7,8 @@ from dagster import AssetCheckResult, AssetExecutionContext, AssetSpec, DataVers
 from assets_def.checks import schema_check, schema_check_spec
 from assets_def.metadata import table_metadata
 from assets_def.resources import Benchmark
-from pipelines.running.data_root import OBJECT_TABLES
 from pipelines.running.object_tables import OBJECT_CODE_VERSION, make_object_tables
-from tables.schemas import ALL_SCHEMAS
+from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES
 
 _UPSTREAM = {
     "object_meshes": [],

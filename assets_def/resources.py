@@ -11,7 +11,8 @@ from objects.catalogue import catalogue_order
 from pipelines.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from pipelines.running.data_root import DataRoot
 from pipelines.running.shard_runner import ShardInputs, load_shard_inputs
-from pipelines.scenes.allocation import SceneAllocation, family_allocation
+from pipelines.scenes.allocation import family_allocation
+from pipelines.values import SceneAllocation
 from tables.identity import parse_scene_id, scenes_of_shard
 
 REPOSITORY = Path(__file__).resolve().parent.parent

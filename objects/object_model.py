@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 
+from objects.errors import ObjectError
 from tables.poses import matrix_of, pose_columns, rotation_angle_rad
 from tables.vocabulary import Symmetry
 
@@ -57,6 +58,13 @@ class ObjectModel:
     parts: tuple[TriangleMesh, ...]
     stable_poses: tuple[StablePose, ...]
     grasps: tuple[PoolGrasp, ...]
+
+    def grasp(self, grasp_id: int) -> PoolGrasp:
+        """A grasp of the pool; raises ObjectError where it has none of that id."""
+        for grasp in self.grasps:
+            if grasp.grasp_id == grasp_id:
+                return grasp
+        raise ObjectError(f"{self.object_id}: grasp {grasp_id}, must be one of {[grasp.grasp_id for grasp in self.grasps]}")
 
     def rotation_error_rad(self, R_a: Float[np.ndarray, "3 3"], R_b: Float[np.ndarray, "3 3"]) -> float:
         """Smallest rotation between two object orientations, modulo the object's symmetry, in [0, pi]."""

@@ -15,6 +15,7 @@ import numpy as np
 SCENES_PER_SHARD = 19
 N_FULL_SHARDS = 65
 N_MINI_SCENES = 12
+N_TARGETS = 8  # of every scene; a target id is one digit
 
 _SCENE = re.compile(r"(mini|full)-(\d{4})")
 _CANDIDATE = re.compile(r"((?:mini|full)-\d{4})-t(\d)-g(\d\d)")

@@ -12,9 +12,9 @@ from typing import Any
 from objects.build import ObjectParams, ObjectTables, build_object
 from objects.catalogue import ObjectSpec, load_catalogue
 from pipelines.recipe import Recipe
-from pipelines.running.data_root import OBJECT_TABLES, DataRoot
+from pipelines.running.data_root import DataRoot
 from pipelines.running.workers import run_units
-from tables.schemas import ALL_SCHEMAS, SCHEMA_VERSION
+from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES, SCHEMA_VERSION
 from tables.store import Sidecar, file_sha256, read_sidecar, sidecar_path, table_from_rows, write_table
 
 OBJECT_CODE_VERSION = "2"

@@ -8,7 +8,7 @@ import pytest
 
 from objects.build import build_object_models
 from objects.catalogue import catalogue_order, load_catalogue
-from pipelines.codecs import lifted_grasps, scenes_from_tables
+from pipelines.codecs import known_in, rows_by_scene
 from pipelines.proofs.regenerate import main, regenerate
 from pipelines.proofs.repeats import Repeat, attempt_rows
 from pipelines.recipe import load_recipe
@@ -17,7 +17,8 @@ from pipelines.running.shard_runner import ShardInputs, StageReport, run_stage
 from pipelines.scenes.allocation import scene_allocation
 from pipelines.stages import STAGES
 from tables import schemas as s
-from tables.identity import IdentityError
+from tables.identity import IdentityError, parse_candidate_id
+from tables.schemas import OBJECT_TABLES
 from tables.store import read_table
 from tables.vocabulary import Perturbation
 
@@ -40,7 +41,7 @@ def inputs(recipe_path: Path) -> ShardInputs:
     allocations = [scene_allocation(scene_id, catalogue_order()) for scene_id in SCENES]
     wanted = {allocation.object_id for allocation in allocations}
     object_models = build_object_models([spec for spec in load_catalogue() if spec.object_id in wanted], recipe.objects, recipe.seed)
-    return ShardInputs(recipe, object_models, allocations, "objects")
+    return ShardInputs(recipe, object_models, allocations, dict.fromkeys(OBJECT_TABLES, "made here"))
 
 
 def _run(root: DataRoot, inputs: ShardInputs, n_workers: int) -> dict[str, StageReport]:
@@ -57,7 +58,7 @@ def built(tmp_path_factory: pytest.TempPathFactory, inputs: ShardInputs) -> tupl
 def test_two_workers_in_another_order_give_the_same_tables(
     tmp_path: Path, inputs: ShardInputs, built: tuple[DataRoot, dict[str, str]]
 ) -> None:
-    backwards = ShardInputs(inputs.recipe, inputs.object_models, inputs.allocations[::-1], inputs.objects_hash)
+    backwards = ShardInputs(inputs.recipe, inputs.object_models, inputs.allocations[::-1], inputs.object_hashes)
     reports = _run(DataRoot(tmp_path), backwards, 2)
     assert {name: x.content_hash for report in reports.values() for name, x in report.sidecars.items()} == built[1]
 
@@ -85,16 +86,19 @@ def test_a_repeat_in_a_fresh_process_is_identical_and_a_perturbed_one_says_so(
     inputs: ShardInputs, built: tuple[DataRoot, dict[str, str]]
 ) -> None:
     root = built[0]
-    tables = root.read_shard(SHARD, [s.SCENES, s.OBSTACLES, s.TARGETS, s.PICK_LIFT, s.PLANNING_LABELS, s.EXECUTION_LABELS])
+    tables = root.read_shard(
+        SHARD, [s.SCENES, s.OBSTACLES, s.TARGETS, s.PICK_LIFT, s.CANDIDATE_PAIRS, s.PLANNING_LABELS, s.EXECUTION_LABELS]
+    )
     executed = {row["candidate_id"]: row for row in tables["execution_labels"].to_pylist()}
     planned = {row["candidate_id"]: row for row in tables["planning_labels"].to_pylist()}
     name = sorted(executed)[0]
-    scene = scenes_from_tables(tables["scenes"], tables["obstacles"], tables["targets"])[name[:9]]
-    lifted = lifted_grasps(row for row in tables["pick_lift"].to_pylist() if row["scene_id"] == scene.scene_id)
-    (grasp,) = (grasp for grasp in lifted if f"g{grasp.grasp_id:02d}" == name[-3:])
+    c = parse_candidate_id(name)
+    known = known_in(rows_by_scene(tables, [c.scene_id])[c.scene_id])
+    (candidate,) = (candidate for candidate in known.candidates if candidate.candidate_id == name)
     stored = planned[name] | executed[name]
     kinds = (Perturbation.FRESH, Perturbation.FINE_STEP)
-    repeats = [Repeat(inputs.recipe, inputs.object_models[scene.object_id], scene, grasp, int(name[11]), stored, kind, 0) for kind in kinds]
+    object_model = inputs.object_models[candidate.scene.object_id]
+    repeats = [Repeat(inputs.recipe, object_model, candidate, stored, kind, 0) for kind in kinds]
     rows = {row["perturbation"]: row for row in attempt_rows(repeats, 1)}
     assert rows[Perturbation.FRESH.value]["is_identical"]
     assert not rows[Perturbation.FINE_STEP.value]["is_identical"]
