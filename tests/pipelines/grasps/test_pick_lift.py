@@ -10,6 +10,7 @@ import pytest
 from objects.errors import ObjectError
 from objects.object_model import PoolGrasp
 from pipelines.codecs import admitted_grasps, joints_in, pose_in
+from pipelines.engines.physics.errors import PhysicsError
 from pipelines.engines.robot.arm import fk
 from pipelines.grasps.admission import AdmissionParams, admission_rows
 from pipelines.grasps.pick_lift import PickLiftParams, pick_lift_rows
