@@ -93,9 +93,12 @@ def candidate_pairs_law(tables: Tables, promise: Promise) -> list[str]:
     wanted = lifted.join(frame_of(tables["targets"], ["scene_id", "target_id"]), on="scene_id").select(_CANDIDATE)
     pairs = frame_of(tables["candidate_pairs"])
     own_id = pl.format("{}-t{}-g{}", "scene_id", "target_id", pl.col("grasp_id").cast(pl.String).str.zfill(2))
-    kind = {a.scene_id: (a.object_id, a.category, a.n_obstacles) for a in promise.allocations}
     columns = ["object_id", "category", "n_obstacles"]
-    strangers = sorted({row[0] for row in pairs.select("scene_id", *columns).unique().iter_rows() if kind.get(row[0]) != row[1:]})
+    kinds = pl.DataFrame(
+        [(a.scene_id, a.object_id, a.category, a.n_obstacles) for a in promise.allocations],
+        schema={"scene_id": pl.String, "object_id": pl.String, "category": pl.String, "n_obstacles": pl.Int32},
+        orient="row",
+    )
     return [
         *_same_rows(_CANDIDATE, "lifted grasps x targets", wanted, "candidate_pairs", pairs),
         *_broken("candidate_id is made of its coordinates", pairs.filter(pl.col("candidate_id") != own_id), ["candidate_id"], _CANDIDATE),
@@ -104,7 +107,7 @@ def candidate_pairs_law(tables: Tables, promise: Promise) -> list[str]:
         ),
         *_broken(
             "object, category and obstacle count are the scene's",
-            pairs.filter(pl.col("scene_id").is_in(strangers)),
+            pairs.join(kinds, on=["scene_id", *columns], how="anti"),
             ["candidate_id"],
             columns,
         ),

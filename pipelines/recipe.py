@@ -70,7 +70,7 @@ class Recipe:
         return tuple(getattr(self, name) for name in self._names(*kinds))
 
     def _names(self, *kinds: type) -> list[str]:
-        by_type = {type(getattr(self, item.name)): item.name for item in dataclasses.fields(self)}
+        by_type = {type(getattr(self, item.name)): item.name for item in dataclasses.fields(self) if item.name != "seed"}
         for kind in kinds:
             if kind not in by_type:
                 raise RecipeError(f"{kind.__name__}: no section of the recipe, must be one of {sorted(t.__name__ for t in by_type)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ from tables.identity import IdentityError, parse_candidate_id
 from tables.schemas import OBJECT_TABLES
 from tables.store import read_table
 from tables.vocabulary import Perturbation
+from tests.pipelines.proofs.golden_rows import GOLDEN, golden_rows, stale_versions
 
 SHARD = "mini-000"
 # A can, a mug and a cuboid; few grasps, so that the chain takes seconds.
@@ -28,15 +30,9 @@ SCENES = ("mini-0000", "mini-0004", "mini-0008")
 RECIPE = "[grasp_admission]\nquota = 3\n[camera]\n"
 
 
-@pytest.fixture(scope="module")
-def recipe_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("recipe") / "recipe.toml"
-    path.write_text(RECIPE)
-    return path
-
-
-@pytest.fixture(scope="module")
-def inputs(recipe_path: Path) -> ShardInputs:
+def small_inputs(recipe_path: Path) -> ShardInputs:
+    """The three scenes with their objects built anew; writes the recipe."""
+    recipe_path.write_text(RECIPE)
     recipe = load_recipe("mini", recipe_path)
     allocations = [scene_allocation(scene_id, catalogue_order()) for scene_id in SCENES]
     wanted = {allocation.object_id for allocation in allocations}
@@ -44,14 +40,25 @@ def inputs(recipe_path: Path) -> ShardInputs:
     return ShardInputs(recipe, object_models, allocations, dict.fromkeys(OBJECT_TABLES, "made here"))
 
 
-def _run(root: DataRoot, inputs: ShardInputs, n_workers: int) -> dict[str, StageReport]:
+def run_chain(root: DataRoot, inputs: ShardInputs, n_workers: int) -> dict[str, StageReport]:
+    """Every stage on the three scenes."""
     return {stage.name: run_stage(stage, SHARD, root, inputs, n_workers) for stage in STAGES}
+
+
+@pytest.fixture(scope="module")
+def recipe_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("recipe") / "recipe.toml"
+
+
+@pytest.fixture(scope="module")
+def inputs(recipe_path: Path) -> ShardInputs:
+    return small_inputs(recipe_path)
 
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory, inputs: ShardInputs) -> tuple[DataRoot, dict[str, str]]:
     root = DataRoot(tmp_path_factory.mktemp("built"))
-    reports = _run(root, inputs, 1)
+    reports = run_chain(root, inputs, 1)
     return root, {name: sidecar.content_hash for report in reports.values() for name, sidecar in report.sidecars.items()}
 
 
@@ -59,7 +66,7 @@ def test_two_workers_in_another_order_give_the_same_tables(
     tmp_path: Path, inputs: ShardInputs, built: tuple[DataRoot, dict[str, str]]
 ) -> None:
     backwards = ShardInputs(inputs.recipe, inputs.object_models, inputs.allocations[::-1], inputs.object_hashes)
-    reports = _run(DataRoot(tmp_path), backwards, 2)
+    reports = run_chain(DataRoot(tmp_path), backwards, 2)
     assert {name: x.content_hash for report in reports.values() for name, x in report.sidecars.items()} == built[1]
 
 
@@ -102,6 +109,21 @@ def test_a_repeat_in_a_fresh_process_is_identical_and_a_perturbed_one_says_so(
     rows = {row["perturbation"]: row for row in attempt_rows(repeats, 1)}
     assert rows[Perturbation.FRESH.value]["is_identical"]
     assert not rows[Perturbation.FINE_STEP.value]["is_identical"]
+
+
+def test_rows_that_changed_have_a_new_code_version(built: tuple[DataRoot, dict[str, str]]) -> None:
+    assert stale_versions(json.loads(GOLDEN.read_text()), golden_rows(built[0], SHARD)) == []
+
+
+def test_a_changed_row_and_a_version_without_rows_are_noticed(built: tuple[DataRoot, dict[str, str]]) -> None:
+    fresh = golden_rows(built[0], SHARD)
+    golden = json.loads(json.dumps(fresh))
+    assert stale_versions(golden, fresh) == []
+    golden["execution_labels"]["rows"]["execution_labels"][0]["exec_status"] = "collided"
+    golden["pick_lift"]["code_version"] = "0"
+    rows, version = sorted(stale_versions(golden, fresh))
+    assert rows.startswith("execution_labels: rows of ['execution_labels'] changed, code version is still")
+    assert version.startswith("pick_lift: code version")
 
 
 def test_ids_that_do_not_exist_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
