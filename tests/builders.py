@@ -98,10 +98,10 @@ def ideally_lifted(object_model: ObjectModel, scene: Scene, admitted: AdmittedGr
 
 
 def made_up_stage(
-    run: Callable[[Unit], UnitResult], code_version: str = "1", law: Law = lambda tables, promise: [], name: str = "draw"
+    run: Callable[[Unit], UnitResult], code_version: str = "1", law: Law = lambda tables, promise: [], engines: tuple[str, ...] = ()
 ) -> Stage:
     """A stage that stands at the start of a chain and makes rows of `splits`."""
-    return Stage(name, "made up", "Makes up rows.", code_version, (), (), (SPLITS,), (), (), run, law)
+    return Stage("draw", "made up", "Makes up rows.", code_version, (), (), (SPLITS,), (), engines, run, law)
 
 
 def _model(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import signal
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -70,6 +71,16 @@ def test_an_unchanged_stage_is_reused_and_a_changed_one_is_not(tmp_path: Path, i
     assert not run_stage(_stage(version="2"), SHARD, root, inputs, 0).is_reused
     changed = ShardInputs(Recipe(seed=1), inputs.object_models, inputs.allocations, inputs.object_hashes)
     assert not run_stage(_stage(version="2"), SHARD, root, changed, 0).is_reused
+
+
+def test_tables_of_another_engine_version_are_not_reused(tmp_path: Path, inputs: ShardInputs, monkeypatch: pytest.MonkeyPatch) -> None:
+    root, stage = DataRoot(tmp_path), made_up_stage(_draw, engines=("numpy", "ompl"))
+    made = run_stage(stage, SHARD, root, inputs, 0)
+    assert made.sidecars["splits"].made_from["engine.numpy"] == metadata.version("numpy")
+    assert run_stage(stage, SHARD, root, inputs, 0).is_reused
+    real = metadata.version
+    monkeypatch.setattr(shard_runner.metadata, "version", lambda name: "99.0" if name == "ompl" else real(name))
+    assert not is_published(stage, SHARD, root, inputs)
 
 
 def test_a_damaged_table_is_made_again(tmp_path: Path, inputs: ShardInputs) -> None:
