@@ -18,7 +18,7 @@ from dagster import (
 
 from assets_def.checks import consistency_result, schema_check_spec
 from assets_def.partitions import shards_to_tiers, tier_partitions
-from assets_def.resources import Benchmark, family_of_tier
+from assets_def.resources import Benchmark
 from assets_def.tier_tables import publish_tier_table
 from pipelines.recipe import Recipe
 from pipelines.running.join import join_candidates, join_grasps
@@ -28,7 +28,7 @@ from splits.leakage import find_leaks
 from splits.release import release_errors, write_release
 from splits.release_laws import broken_laws
 from splits.scene_groups import SplitParams, split_rows
-from tables.identity import scenes_of_shard, shards_of_tier
+from tables.identity import family_of_tier, scenes_of_shard, shards_of_tier
 from tables.schemas import ALL_SCHEMAS, CANDIDATES, GRASPS, OBJECT_TABLES, SPLITS
 from tables.store import read_table, read_tables, table_from_rows
 

@@ -24,9 +24,9 @@ from pipelines.scenes.points import CameraParams
 from pipelines.scenes.sampling import SceneSamplingParams
 from pipelines.stage import Promise
 from pipelines.values import SceneAllocation
+from tables.identity import FAMILIES
 
 DEFAULT_RECIPE = Path(__file__).with_name("recipe.toml")
-FAMILIES = ("mini", "full")
 
 _P = TypeVar("_P")
 
