@@ -25,6 +25,7 @@ from rich.table import Column, Table
 from assets_def.resources import REPOSITORY, Benchmark
 from assets_def.stages import stage_assets
 from pipelines.codecs import scenes_from_tables
+from pipelines.frames import frame_of, scene_id_of_item
 from pipelines.proofs.cpu_profile import largest_costs
 from pipelines.proofs.engine_baselines import bare_step_us, collision_check_us
 from pipelines.running.data_root import DataRoot
@@ -32,7 +33,6 @@ from pipelines.running.object_tables import make_object_tables
 from pipelines.running.shard_runner import load_shard_inputs, read_timings
 from pipelines.running.workers import run_units
 from pipelines.stages import STAGE, STAGES
-from splits.frames import frame_of
 from tables.schemas import ALL_SCHEMAS
 from tables.store import read_tables, write_text_atomically
 
@@ -101,8 +101,7 @@ def _frame(root: DataRoot, shards: Sequence[str]) -> pl.DataFrame:
     """One row a timed item: stage, category, core_ms."""
     timings = frame_of(read_timings(root, shards, STAGES))
     scenes = _tables(root, shards, "scenes")
-    scene = pl.col("item_id").str.slice(0, 9).alias("scene_id")
-    return timings.with_columns(scene).join(scenes.select("scene_id", "category"), on="scene_id")
+    return timings.with_columns(scene_id_of_item("item_id")).join(scenes.select("scene_id", "category"), on="scene_id")
 
 
 def _figures(frame: pl.DataFrame, runs: dict[str, ShardRun]) -> dict[str, object]:
@@ -153,7 +152,7 @@ def _floor_ms(root: DataRoot, shards: Sequence[str], floors: dict[str, dict[str,
         ("planning_labels", "n_checks", "floor_collision_check_us"),
         ("execution_labels", "n_physics_steps", "floor_bare_step_us"),
     ):
-        items = _tables(root, shards, name).with_columns(scene_id=pl.col("candidate_id").str.slice(0, 9)).join(scenes, on="scene_id")
+        items = _tables(root, shards, name).with_columns(scene_id_of_item("candidate_id")).join(scenes, on="scene_id")
         for category, n in items.group_by("category").agg(pl.col(counted).mean()).iter_rows():
             out[name, category] = n * floors[floor][category] / 1e3
     return out

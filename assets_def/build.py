@@ -18,7 +18,7 @@ from rich.table import Table
 
 from assets_def.definitions import definitions
 from assets_def.object_assets import object_assets
-from assets_def.partitions import TIERS, rankers_of_tier
+from assets_def.partitions import rankers_of_tier
 from assets_def.progress import ShardProgress
 from assets_def.ranker_assets import predictions, ranker
 from assets_def.release_assets import joined_tables, release, splits_table
@@ -27,7 +27,7 @@ from assets_def.resources import Benchmark
 from assets_def.stages import stage_assets
 from pipelines.running.shard_runner import is_published
 from pipelines.stages import STAGES
-from tables.identity import shards_of_tier
+from tables.identity import TIERS, shards_of_tier
 
 CONSOLE = Console()
 

@@ -11,9 +11,8 @@ from assets_def.checks import schema_check, schema_check_spec
 from assets_def.metadata import table_metadata
 from assets_def.resources import Benchmark
 from objects.provenance import OBJECT_CODE_VERSION
-from pipelines.running.data_root import OBJECT_TABLES
 from pipelines.running.object_tables import make_object_tables
-from tables.schemas import ALL_SCHEMAS
+from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES
 
 # What `build_object` reads of the other tables' values on its way to each table.
 _UPSTREAM = {

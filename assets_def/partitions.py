@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from dagster import StaticPartitionMapping, StaticPartitionsDefinition
 
 from model.settings import Variant
-from tables.identity import shards_of_tier
+from tables.identity import TIERS, shards_of_tier
 
-TIERS = ("mini", "pilot", "full")
 SEEDS_OF_TIER = {"mini": (42,), "pilot": (42,), "full": (42, 43, 44)}
 
 

@@ -13,16 +13,6 @@ from assets_def.stages import PROGRESS
 from pipelines.running.shard_runner import Progress as StageProgress
 from pipelines.stages import STAGES
 
-# Share of a shard's wall time, measured on tier pilot; replaced by this run's own shares after its first shard.
-FIRST_SHARES = {
-    "scenes": 0.05,
-    "scene_points": 0.02,
-    "grasp_admission": 0.02,
-    "pick_lift": 0.10,
-    "planning_labels": 0.16,
-    "execution_labels": 0.65,
-}
-
 
 class ShardProgress(logging.Handler):
     """Context manager: while it is open, unit messages of stages move the bar."""
@@ -30,7 +20,8 @@ class ShardProgress(logging.Handler):
     def __init__(self, console: Console, n_shards: int) -> None:
         super().__init__(logging.DEBUG)
         self.seconds_by_stage: dict[str, float] = {}
-        self._shares = dict(FIRST_SHARES)
+        # Replaced by the shares of this run after its first shard.
+        self._shares = {stage.name: stage.time_share for stage in STAGES}
         self._started: dict[str, float] = {}
         self._n_finished, self._n_shards = 0, n_shards
         self._console, self._start = console, time.perf_counter()

@@ -18,25 +18,24 @@ from dagster import (
 
 from assets_def.checks import consistency_result, schema_check_spec
 from assets_def.partitions import shards_to_tiers, tier_partitions
-from assets_def.resources import Benchmark, family_of_tier
+from assets_def.resources import Benchmark
 from assets_def.tier_tables import publish_tier_table
 from pipelines.recipe import Recipe
 from pipelines.running.join import join_candidates, join_grasps
 from pipelines.running.shard_runner import read_timings
 from pipelines.stages import STAGES
-from splits.label_errors import find_label_errors
 from splits.leakage import find_leaks
-from splits.release import verify_release, write_release
+from splits.release import release_errors, write_release
+from splits.release_laws import broken_laws
 from splits.scene_groups import SplitParams, split_rows
-from tables.identity import scenes_of_shard, shards_of_tier
-from tables.schemas import ALL_SCHEMAS, CANDIDATES, GRASPS, SPLITS
+from tables.identity import family_of_tier, scenes_of_shard, shards_of_tier
+from tables.schemas import ALL_SCHEMAS, CANDIDATES, GRASPS, OBJECT_TABLES, SPLITS
 from tables.store import read_table, read_tables, table_from_rows
 
 DATA_VERSION = "0.1.0"
 RELEASE_CODE_VERSION = "1"
 
 # Released as they are; `candidates` and `grasps` replace the four tables they are joined from.
-_OBJECT_TABLES = ("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool")
 _SHARD_TABLES = ("scenes", "scene_attempts", "obstacles", "targets", "scene_points", "plans", "policy_features")
 _JOINED_FROM = {
     "candidates": ("candidate_pairs", "planning_labels", "execution_labels"),
@@ -79,9 +78,8 @@ def joined_tables(context: AssetExecutionContext, benchmark: Benchmark) -> Itera
     }
     for schema in (CANDIDATES, GRASPS):
         yield from publish_tier_table(benchmark, tier, schema, tables[schema.name])
-    targets = _over_shards(benchmark, tier, "targets")
-    errors = find_label_errors(tables["candidates"], tables["grasps"], targets, **_tolerances(benchmark.recipe_of_tier(tier)))
-    yield consistency_result("candidates", errors)
+    others = {name: _over_shards(benchmark, tier, name) for name in _SHARD_TABLES}
+    yield consistency_result("candidates", broken_laws({**tables, **others}, **_tolerances(benchmark.recipe_of_tier(tier))))
 
 
 @multi_asset(
@@ -129,7 +127,7 @@ def splits_table(context: AssetExecutionContext, benchmark: Benchmark) -> Iterat
                 "splits",
                 "candidates",
                 "grasps",
-                *_OBJECT_TABLES,
+                *OBJECT_TABLES,
                 *(AssetDep(name, partition_mapping=shards_to_tiers) for name in _SHARD_TABLES),
             ],
             description="Writes the release folder of a tier: Parquet tables, data card, and last the manifest with every checksum.",
@@ -144,7 +142,7 @@ def splits_table(context: AssetExecutionContext, benchmark: Benchmark) -> Iterat
 def release(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
     tier = context.partition_key
     tables = {
-        **{name: table for name, table in benchmark.root.read_objects().items() if name in _OBJECT_TABLES},
+        **benchmark.root.read_objects(),
         **{name: _over_shards(benchmark, tier, name) for name in _SHARD_TABLES},
         **{s.name: read_table(s, benchmark.root.tier_table(tier, s.name)) for s in (CANDIDATES, GRASPS, SPLITS)},
         "timings": read_timings(benchmark.root, shards_of_tier(tier), STAGES),
@@ -161,8 +159,7 @@ def release(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[Ma
         "data_card": MetadataValue.md((directory / "README.md").read_text(encoding="utf-8")),
     }
     yield MaterializeResult("release", metadata=metadata, data_version=DataVersion(manifest.release_hash))
-    verify_release(directory)
-    yield consistency_result("release", [])
+    yield consistency_result("release", release_errors(directory))
 
 
 release_assets = [joined_tables, splits_table, release]

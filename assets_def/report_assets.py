@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 
-import pyarrow as pa
 from dagster import (
     AssetCheckResult,
     AssetDep,
@@ -20,10 +19,10 @@ from assets_def.metadata import inline_figure
 from assets_def.partitions import tier_partitions
 from assets_def.resources import Benchmark
 from assets_def.tier_tables import publish_tier_table
-from objects.object_model import object_models_from_tables
-from pipelines.codecs import lifted_grasps, rows_by, scenes_from_tables
-from pipelines.proofs.audits import AUDITED_TABLES, audit_items, audit_rows, choose_audited
+from pipelines.decoded import Decoded
+from pipelines.proofs.audits import audit_items, audit_rows, choose_audited
 from pipelines.proofs.repeats import Repeat, attempt_rows, choose_perturbed
+from pipelines.recipe import Recipe
 from reports.ablation import ablation_report
 from reports.audit import audit_report
 from reports.gallery import gallery_report
@@ -32,8 +31,7 @@ from reports.profile import profile_report
 from reports.repeatability import choose_tasks, repeatability_report
 from reports.report import Report
 from reports.success_at_k import success_at_k_report
-from tables.identity import parse_candidate_id
-from tables.schemas import ATTEMPTS, AUDITS, PREDICTIONS, TIMINGS
+from tables.schemas import ATTEMPTS, AUDITS, OBJECT_TABLES, PREDICTIONS, TIMINGS
 from tables.store import read_table, table_from_rows
 from tables.vocabulary import Perturbation
 
@@ -43,10 +41,8 @@ N_PERTURBED = {"mini": 24, "pilot": 300, "full": 900}
 # Solved paths rechecked, and rejections judged again for each reason.
 N_AUDITED = {"mini": (20, 3), "pilot": (500, 50), "full": (1000, 100)}
 N_FILMS = {"mini": 1, "pilot": 3, "full": 3}
-_GALLERY_TABLES = (
-    "objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool",
-    "scenes", "obstacles", "targets", "grasps", "candidates", "plans",
-)  # fmt: skip
+# What candidates are decoded from, with their labels and plans.
+_VALUE_TABLES = (*OBJECT_TABLES, "scenes", "obstacles", "targets", "grasps", "candidates", "plans")
 
 
 @multi_asset(
@@ -67,31 +63,22 @@ _GALLERY_TABLES = (
 )
 def attempts(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
     tier = context.partition_key
-    tables = load_release(benchmark.root.release(tier), (*_GALLERY_TABLES,))
+    tables = load_release(benchmark.root.release(tier), _VALUE_TABLES)
     recipe = benchmark.recipe_of_tier(tier)
     blind = tables["candidates"].select(["candidate_id", "scene_id", "target_id"])
     chosen = [
         *((task.candidate_id, Perturbation.FRESH, k) for task in choose_tasks(blind, recipe.seed) for k in range(task.n_repeats)),
         *((name, kind, 0) for name, kind in choose_perturbed(tables["candidates"], recipe.seed, N_PERTURBED[tier])),
     ]
-    rows = list(attempt_rows(_repeats(tables, benchmark, tier, chosen), benchmark.n_workers))
+    rows = list(attempt_rows(_repeats(Decoded(tables), recipe, chosen), benchmark.n_workers))
     yield from publish_tier_table(benchmark, tier, ATTEMPTS, table_from_rows(ATTEMPTS, rows))
 
 
-def _repeats(tables: dict[str, pa.Table], benchmark: Benchmark, tier: str, chosen: Sequence[tuple[str, Perturbation, int]]) -> list[Repeat]:
-    recipe = benchmark.recipe_of_tier(tier)
-    object_models = object_models_from_tables(
-        *(tables[name] for name in ("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool"))
-    )
-    scenes = scenes_from_tables(tables["scenes"], tables["obstacles"], tables["targets"])
-    grasps = {name: {g.grasp_id: g for g in lifted_grasps(rows)} for name, rows in rows_by(tables["grasps"], "scene_id").items()}
-    stored = {row["candidate_id"]: row for row in tables["candidates"].to_pylist()}
+def _repeats(release: Decoded, recipe: Recipe, chosen: Sequence[tuple[str, Perturbation, int]]) -> list[Repeat]:
     repeats = []
     for name, kind, number in chosen:
-        c = parse_candidate_id(name)
-        scene = scenes[c.scene_id]
-        grasp = grasps[c.scene_id][c.grasp_id]
-        repeats.append(Repeat(recipe, object_models[scene.object_id], scene, grasp, c.target_id, stored[name], kind, number))
+        candidate = release.candidate(name)
+        repeats.append(Repeat(recipe, release.object_model_of(candidate), candidate, release.labels(name), kind, number))
     return repeats
 
 
@@ -113,10 +100,10 @@ def _repeats(tables: dict[str, pa.Table], benchmark: Benchmark, tier: str, chose
 )
 def audits(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
     tier = context.partition_key
-    tables = load_release(benchmark.root.release(tier), AUDITED_TABLES)
+    tables = load_release(benchmark.root.release(tier), _VALUE_TABLES)
     recipe = benchmark.recipe_of_tier(tier)
     chosen = choose_audited(tables["candidates"], recipe.seed, *N_AUDITED[tier])
-    rows = list(audit_rows(audit_items(chosen, tables, recipe), benchmark.n_workers))
+    rows = list(audit_rows(audit_items(chosen, Decoded(tables), recipe), benchmark.n_workers))
     yield from publish_tier_table(benchmark, tier, AUDITS, table_from_rows(AUDITS, rows))
 
 
@@ -147,7 +134,7 @@ def _profile(benchmark: Benchmark, tier: str) -> Report:
 
 
 def _gallery(benchmark: Benchmark, tier: str) -> Report:
-    tables = load_release(benchmark.root.release(tier), _GALLERY_TABLES)
+    tables = load_release(benchmark.root.release(tier), _VALUE_TABLES)
     return gallery_report(tables, benchmark.recipe_of_tier(tier), tier=tier, n_films=N_FILMS[tier])
 
 

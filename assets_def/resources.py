@@ -11,8 +11,9 @@ from objects.catalogue import catalogue_order
 from pipelines.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from pipelines.running.data_root import DataRoot
 from pipelines.running.shard_runner import ShardInputs, load_shard_inputs
-from pipelines.scenes.allocation import SceneAllocation, family_allocation
-from tables.identity import parse_scene_id, scenes_of_shard
+from pipelines.scenes.allocation import family_allocation
+from pipelines.values import SceneAllocation
+from tables.identity import family_of_shard, family_of_tier
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -44,11 +45,3 @@ class Benchmark(ConfigurableResource):
 
     def shard_inputs(self, shard: str) -> ShardInputs:
         return load_shard_inputs(self.root, shard, self.recipe(family_of_shard(shard)))
-
-
-def family_of_tier(tier: str) -> str:
-    return "mini" if tier == "mini" else "full"
-
-
-def family_of_shard(shard: str) -> str:
-    return parse_scene_id(scenes_of_shard(shard)[0])[0]

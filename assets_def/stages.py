@@ -13,46 +13,25 @@ from dagster import (
     multi_asset,
 )
 
-from assets_def.checks import schema_check, schema_check_spec, stage_check_specs, stage_checks
+from assets_def.checks import law_check, law_check_spec, schema_check, schema_check_spec
 from assets_def.metadata import table_metadata
 from assets_def.partitions import shard_partitions
 from assets_def.resources import Benchmark
-from pipelines.running.data_root import OBJECT_TABLES
 from pipelines.running.shard_runner import Progress, run_stage
-from pipelines.stages import STAGES, Stage
+from pipelines.stage import Stage
+from pipelines.stages import STAGES
 
 PROGRESS = logging.getLogger("placebench.progress")
 
-DESCRIPTIONS = {
-    "scenes": "Draws scenes: an object settled at a stable pose, box obstacles in the way, eight targets that hold the object at rest.",
-    "scene_points": "Renders two depth views of each initial scene and keeps a typed point cloud: environment, object, obstacle.",
-    "grasp_admission": "Tests every pool grasp in every scene by geometry alone and keeps the reason for each rejection.",
-    "pick_lift": "Executes each admitted grasp in physics: approach, close, lift, hold; keeps the measured state after the lift.",
-    "candidate_pairs": "Pairs every lifted grasp with every target of its scene.",
-    "policy_features": "Computes what the endpoint baselines know: IK without collisions, the gripper alone at the place pose.",
-    "planning_labels": "Plans transport, descend and retreat for every candidate and says why where there is no plan.",
-    "execution_labels": "Executes every plan in physics from the measured post-lift state and validates the final object pose.",
-}
-GROUPS = {
-    "scenes": "scenes",
-    "scene_points": "scenes",
-    "grasp_admission": "grasps",
-    "pick_lift": "grasps",
-    "candidate_pairs": "candidates",
-    "policy_features": "candidates",
-    "planning_labels": "labels",
-    "execution_labels": "labels",
-}
-
 
 def _asset_of(stage: Stage) -> AssetsDefinition:
-    upstream = [schema.name for schema in stage.inputs] or list(OBJECT_TABLES)
+    upstream = [*(schema.name for schema in stage.inputs), *stage.objects]
     specs = [
         AssetSpec(
             schema.name,
             deps=upstream,
-            description=f"{DESCRIPTIONS[stage.name]}\n\nRows: {schema.meaning}.",
-            group_name=GROUPS[stage.name],
+            description=f"{stage.description}\n\nRows: {schema.meaning}.",
+            group_name=stage.group,
             code_version=stage.code_version,
             kinds={"parquet"},
         )
@@ -62,7 +41,7 @@ def _asset_of(stage: Stage) -> AssetsDefinition:
     @multi_asset(
         name=f"make_{stage.name}",
         specs=specs,
-        check_specs=[*(schema_check_spec(schema) for schema in stage.outputs), *stage_check_specs(stage)],
+        check_specs=[*(schema_check_spec(schema) for schema in stage.outputs), law_check_spec(stage)],
         partitions_def=shard_partitions,
     )
     def make(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
@@ -82,7 +61,7 @@ def _asset_of(stage: Stage) -> AssetsDefinition:
             }
             yield MaterializeResult(schema.name, metadata=metadata, data_version=DataVersion(sidecar.content_hash))
             yield schema_check(schema, path)
-        yield from stage_checks(stage, benchmark.root, shard, inputs.allocations)
+        yield law_check(stage, benchmark.root, shard, inputs.promise)
 
     return make
 

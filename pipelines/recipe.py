@@ -8,7 +8,7 @@ import json
 import tomllib
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,13 +18,15 @@ from pipelines.engines.physics.world import PhysicsParams
 from pipelines.engines.planning.trajectory import MotionParams
 from pipelines.grasps.admission import AdmissionParams
 from pipelines.grasps.pick_lift import PickLiftParams
-from pipelines.labels.execution import ExecutionParams
-from pipelines.labels.planning import PlanningParams
+from pipelines.labels.execution import ExecutionParams, ExecutionSetup
+from pipelines.labels.planning import PlanningParams, PlanningSetup
 from pipelines.scenes.points import CameraParams
 from pipelines.scenes.sampling import SceneSamplingParams
+from pipelines.stage import Promise
+from pipelines.values import SceneAllocation
+from tables.identity import FAMILIES
 
 DEFAULT_RECIPE = Path(__file__).with_name("recipe.toml")
-FAMILIES = ("mini", "full")
 
 _P = TypeVar("_P")
 
@@ -47,6 +49,36 @@ class Recipe:
     execution: ExecutionParams = field(default_factory=ExecutionParams)
     motion: MotionParams = field(default_factory=MotionParams)
     physics: PhysicsParams = field(default_factory=PhysicsParams)
+
+    @property
+    def planning_setup(self) -> PlanningSetup:
+        """What planning a candidate needs."""
+        return PlanningSetup(self.planning, self.motion, self.seed)
+
+    @property
+    def execution_setup(self) -> ExecutionSetup:
+        """What executing a plan needs."""
+        return ExecutionSetup(self.execution, self.motion, self.physics)
+
+    def promise(self, allocations: Iterable[SceneAllocation]) -> Promise:
+        """What tables of scenes with these allocations must hold."""
+        execution = self.execution
+        return Promise(tuple(allocations), self.scene_sampling.n_targets, execution.position_tolerance_m, execution.rotation_tolerance_rad)
+
+    def sections(self, *kinds: type) -> tuple[Any, ...]:
+        """The sections of some types, in their order; raises RecipeError for a type that is no section."""
+        return tuple(getattr(self, name) for name in self._names(*kinds))
+
+    def _names(self, *kinds: type) -> list[str]:
+        by_type = {type(getattr(self, item.name)): item.name for item in dataclasses.fields(self) if item.name != "seed"}
+        for kind in kinds:
+            if kind not in by_type:
+                raise RecipeError(f"{kind.__name__}: no section of the recipe, must be one of {sorted(t.__name__ for t in by_type)}")
+        return [by_type[kind] for kind in kinds]
+
+    def hash_of_sections(self, *kinds: type) -> str:
+        """SHA-256 over the seed and the sections of some types."""
+        return self.hash_of(*(self._names(*kinds) or ["seed"]))
 
     def hash_of(self, *sections: str) -> str:
         """SHA-256 over the seed and some sections, or over all of them."""

@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
+
+from tables.identity import IdentityError, candidate_id_of
+from tables.poses import inverse
+
+
+@dataclass(frozen=True, slots=True)
+class SceneAllocation:
+    """What identity alone decides about a scene: its object and its number of obstacles."""
+
+    scene_id: str
+    object_id: str
+    category: str
+    n_obstacles: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +51,13 @@ class Scene:
     obstacles: tuple[Obstacle, ...]
     targets: tuple[Target, ...]
 
+    def target(self, target_id: int) -> Target:
+        """A target of the scene; raises IdentityError where it has none of that id."""
+        for target in self.targets:
+            if target.target_id == target_id:
+                return target
+        raise IdentityError(f"{self.scene_id}: target {target_id}, must be one of {[target.target_id for target in self.targets]}")
+
 
 @dataclass(frozen=True, slots=True)
 class AdmittedGrasp:
@@ -66,3 +87,48 @@ class Plan:
     transport_q_rad: Float[np.ndarray, "a 7"]
     descend_q_rad: Float[np.ndarray, "b 7"]
     retreat_q_rad: Float[np.ndarray, "c 7"]
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A lifted grasp and a target of one scene: what is planned, executed and ranked."""
+
+    scene: Scene
+    grasp: LiftedGrasp
+    target: Target
+
+    @property
+    def candidate_id(self) -> str:
+        return candidate_id_of(self.scene.scene_id, self.target.target_id, self.grasp.grasp_id)
+
+    def release_pose(self, release_height_m: float) -> Float[np.ndarray, "4 4"]:
+        """T_base_object where the hand lets go: the target, so much higher."""
+        T_base_object = self.target.T_base_target.copy()
+        T_base_object[2, 3] += release_height_m
+        return T_base_object
+
+    def place_pose(self, release_height_m: float) -> Float[np.ndarray, "4 4"]:
+        """T_base_tcp where the hand lets go, with the object as it was measured in the hand after the lift."""
+        return self.release_pose(release_height_m) @ inverse(self.grasp.T_tcp_object)
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What earlier stages found out about a scene; empty where a stage does not read it. Plans are by candidate id."""
+
+    scene: Scene | None = None
+    admitted: tuple[AdmittedGrasp, ...] = ()
+    lifted: tuple[LiftedGrasp, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
+    plans: Mapping[str, Plan] = field(default_factory=dict)
+
+    def of_grasp(self, grasp_id: int) -> Known:
+        """What of it concerns one grasp."""
+        candidates = tuple(candidate for candidate in self.candidates if candidate.grasp.grasp_id == grasp_id)
+        return Known(
+            self.scene,
+            tuple(grasp for grasp in self.admitted if grasp.grasp_id == grasp_id),
+            tuple(grasp for grasp in self.lifted if grasp.grasp_id == grasp_id),
+            candidates,
+            {c.candidate_id: self.plans[c.candidate_id] for c in candidates if c.candidate_id in self.plans},
+        )

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import polars as pl
 import pyarrow as pa
 
+from pipelines.frames import frame_of
 from reports import paper
 from reports.figures import dots_figure
 from reports.load import Task, candidate_frame, group_frame
@@ -14,7 +15,6 @@ from reports.metrics import MIN_SCENES, coverage, spread_of
 from reports.policies import RANKER, prediction_seeds, with_predictions
 from reports.ranking import KS, TASK_TITLE, rank_groups, timing_frame
 from reports.report import Report, ReportError
-from splits.frames import frame_of
 from splits.markdown import table
 
 VARIANTS = {

@@ -8,9 +8,9 @@ from __future__ import annotations
 import polars as pl
 import pyarrow as pa
 
+from pipelines.frames import frame_of
 from reports.metrics import clopper_pearson
 from reports.report import Report, ReportError
-from splits.frames import frame_of
 from splits.markdown import count, table
 from tables.vocabulary import Audit, PlanStatus
 

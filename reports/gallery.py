@@ -14,17 +14,18 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from objects.gripper import gripper_boxes, open_jaw_m
-from objects.object_model import ObjectModel, TriangleMesh, object_models_from_tables
-from pipelines.codecs import Row, lifted_grasps, plan_in, pose_in, rows_by, scenes_from_tables
+from objects.object_model import ObjectModel, TriangleMesh
+from pipelines.codecs import Row, pose_in
+from pipelines.decoded import Decoded
 from pipelines.engines.robot.geometry import moved
+from pipelines.frames import frame_of
 from pipelines.pictures.filmstrip import render_execution_frames
 from pipelines.pictures.renderer import Renderer, View
 from pipelines.pictures.views import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, render_scene, shrunk
 from pipelines.recipe import Recipe
-from pipelines.values import LiftedGrasp, Scene
-from reports.report import Report
-from splits.frames import frame_of
-from tables.identity import order_key, parse_candidate_id
+from pipelines.values import Scene
+from reports.report import Report, ReportError
+from tables.identity import order_key
 from tables.vocabulary import ExecStatus
 
 _TILE_PX = (400, 300)
@@ -55,11 +56,8 @@ def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe, *, tier: str,
         recipe: what the labels were made with; films run each execution again.
         n_films: filmstrips of each execution status, chosen by the hash of the candidate id.
     """
-    object_models = object_models_from_tables(
-        *(tables[name] for name in ("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool"))
-    )
-    scenes = scenes_from_tables(tables["scenes"], tables["obstacles"], tables["targets"])
-    grasps = rows_by(tables["grasps"], "scene_id")
+    release = Decoded(tables)
+    object_models, scenes, grasps = release.object_models, release.scenes, release.grasp_rows
     shown = [object_models[name] for name in sorted({scene.object_id for scene in scenes.values()})]
     figures = {
         "gallery-objects": _sheet([tile for object_model in shown for tile in _object_tiles(object_model)], 6),
@@ -78,7 +76,7 @@ def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe, *, tier: str,
         f"## Lifted grasps\n\nUp to {_N_GRASPS_DRAWN} of the grasps that passed the pick-lift check, at the object's initial pose.",
         "![Grasps](gallery-grasps.png)",
     ]
-    for status, strips in _films(tables, recipe, object_models, scenes, grasps, n_films).items():
+    for status, strips in _films(tables, release, recipe, n_films).items():
         figures[f"gallery-{status}"] = _sheet(strips, _N_FRAMES)
         blocks += [f"## Executions that ended as {status.replace('_', ' ')}", f"![{status}](gallery-{status}.png)"]
     return Report("gallery", "\n\n".join(blocks) + "\n", figures)
@@ -181,58 +179,29 @@ def _gripper_glyph(jaw_m: float, thickness: float = 0.25) -> TriangleMesh:
     return TriangleMesh(np.asarray(glyph.vertices), np.asarray(glyph.faces, dtype=np.int64))
 
 
-def _films(
-    tables: Mapping[str, pa.Table],
-    recipe: Recipe,
-    object_models: Mapping[str, ObjectModel],
-    scenes: Mapping[str, Scene],
-    grasps: Mapping[str, list[Row]],
-    n_films: int,
-) -> dict[str, list[_Tile]]:
+def _films(tables: Mapping[str, pa.Table], release: Decoded, recipe: Recipe, n_films: int) -> dict[str, list[_Tile]]:
     executed = frame_of(tables["candidates"], ["candidate_id", "exec_status"]).filter(pl.col("exec_status").is_not_null())
     by_status = {status: executed.filter(pl.col("exec_status") == status.value)["candidate_id"].to_list() for status in ExecStatus}
-    chosen = {
-        status.value: sorted(names, key=lambda name: order_key(recipe.seed, "gallery", name))[:n_films]
+    return {
+        status.value: [
+            tile
+            for name in sorted(names, key=lambda name: order_key(recipe.seed, "gallery", name))[:n_films]
+            for tile in _film(release, name, recipe)
+        ]
         for status, names in by_status.items()
         if names
     }
-    wanted = {name for names in chosen.values() for name in names}
-    plans = {row["candidate_id"]: row for row in tables["plans"].to_pylist() if row["candidate_id"] in wanted}
-    return {
-        status: [tile for name in names for tile in _film(name, plans[name], recipe, object_models, scenes, grasps)]
-        for status, names in chosen.items()
-    }
 
 
-def _film(
-    candidate_id: str,
-    plan: Row,
-    recipe: Recipe,
-    object_models: Mapping[str, ObjectModel],
-    scenes: Mapping[str, Scene],
-    grasps: Mapping[str, list[Row]],
-) -> list[_Tile]:
-    candidate = parse_candidate_id(candidate_id)
-    scene = scenes[candidate.scene_id]
-    grasp = _lifted(grasps[candidate.scene_id], candidate.grasp_id)
+def _film(release: Decoded, candidate_id: str, recipe: Recipe) -> list[_Tile]:
+    candidate, plan = release.candidate(candidate_id), release.plan(candidate_id)
+    if plan is None:
+        raise ReportError(f"{candidate_id}: was executed, but has no row in plans")
     _, frames = render_execution_frames(
-        object_models[scene.object_id],
-        scene,
-        grasp,
-        candidate.target_id,
-        plan_in(plan),
-        recipe.execution,
-        recipe.motion,
-        recipe.physics,
-        n_frames=_N_FRAMES,
-        size_px=_FRAME_PX,
+        release.object_model_of(candidate), candidate, plan, recipe.execution_setup, n_frames=_N_FRAMES, size_px=_FRAME_PX
     )
     tiles = [_Tile(frame.picture, f"{frame.phase.value} {frame.time_s:.2f} s") for frame in frames]
     return [_Tile(tiles[0].picture, f"{candidate_id} {tiles[0].caption}"), *tiles[1:]]
-
-
-def _lifted(rows: Sequence[Row], grasp_id: int) -> LiftedGrasp:
-    return next(grasp for grasp in lifted_grasps(rows) if grasp.grasp_id == grasp_id)
 
 
 def _sheet(tiles: Sequence[_Tile], n_columns: int) -> bytes:

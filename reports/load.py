@@ -9,8 +9,8 @@ from pathlib import Path
 import polars as pl
 import pyarrow as pa
 
+from pipelines.frames import frame_of
 from reports.report import ReportError
-from splits.frames import frame_of
 from splits.manifest import MEASUREMENTS
 from splits.release import REQUIRED_TABLES
 from tables.identity import order_key

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import polars as pl
 import pyarrow as pa
 
+from pipelines.frames import frame_of
 from reports.load import Task
 from reports.report import ReportError
-from splits.frames import frame_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import polars as pl
 import pyarrow as pa
 
+from pipelines.frames import frame_of
 from reports import paper
 from reports.core_time import core_time_section
 from reports.figures import LadderBar, counts_figure, funnel_figure, ladder_figure, shares_figure, status_figure
@@ -15,7 +16,6 @@ from reports.metrics import Estimate, coverage, group_ranks, proportion
 from reports.policies import POLICIES, RANDOM, ranked
 from reports.ranking import KS, TASK_TITLE, rank_groups, timing_frame
 from reports.report import Report
-from splits.frames import frame_of
 from splits.markdown import count, percent, share, table
 from tables.vocabulary import AdmissionStatus, Category, ExecStatus, LiftStatus, PlanStatus, Split
 

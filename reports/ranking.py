@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 import pyarrow as pa
 
+from pipelines.frames import frame_of
 from reports.load import Task
 from reports.metrics import Estimate, group_ranks, success_at_k
 from reports.policies import DecisionCost, Policy, decision_cost, ranked
-from splits.frames import frame_of
 
 if TYPE_CHECKING:  # torch is not needed to read a report's tables
     from model.scoring import DecisionTime

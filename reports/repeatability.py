@@ -12,11 +12,11 @@ from itertools import pairwise
 import polars as pl
 import pyarrow as pa
 
+from pipelines.frames import frame_of
 from reports import paper
 from reports.figures import shares_figure
 from reports.metrics import Estimate, clopper_pearson
 from reports.report import Report, ReportError
-from splits.frames import frame_of
 from splits.markdown import table
 from tables.identity import order_key
 from tables.schemas import LABEL_COLUMNS

@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 import pyarrow as pa
 
+from pipelines.frames import frame_of
 from reports import paper
 from reports.figures import LadderBar, ladder_figure
 from reports.load import Task, candidate_frame, group_frame
@@ -17,7 +18,6 @@ from reports.policies import FULL_PLANNER, ORACLE, PLAN_HEAD_ONLY, POLICIES, RAN
 from reports.ranking import KS, TASK_TITLE, Ranking, rank_groups, timing_frame
 from reports.report import Report
 from reports.solvability import solvability_section
-from splits.frames import frame_of
 from splits.markdown import table
 
 # The paper's policy comparison uses one checkpoint that was designated beforehand.

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import polars as pl
 import pyarrow as pa
 
-from splits.frames import frame_of
+from pipelines.frames import frame_of
 from splits.markdown import count, percent, share, table
 from tables.columns import TableSchema
 from tables.schemas import ALL_SCHEMAS

@@ -17,7 +17,7 @@ import pyarrow as pa
 from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
 
-from splits.frames import frame_of
+from pipelines.frames import frame_of
 from tables.identity import IdentityError, parse_candidate_id
 from tables.poses import matrix_of, pose_columns, rotation_angle_rad
 from tables.vocabulary import Symmetry

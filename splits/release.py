@@ -15,9 +15,9 @@ from pathlib import Path
 import pyarrow as pa
 
 from splits.data_card import render_card
-from splits.label_errors import find_label_errors
 from splits.leakage import find_leaks
 from splits.manifest import MANIFEST, Manifest, ReleaseError, TableEntry, library_versions, read_manifest, release_hash_of
+from splits.release_laws import broken_laws
 from tables.columns import SchemaError
 from tables.identity import scenes_of_shard, shards_of_tier
 from tables.schemas import ALL_SCHEMAS, SCHEMA_VERSION
@@ -132,6 +132,15 @@ def verify_release(directory: Path) -> Manifest:
     return manifest
 
 
+def release_errors(directory: Path) -> list[str]:
+    """What `verify_release` finds wrong, as a list: empty for a sound release."""
+    try:
+        verify_release(directory)
+    except ReleaseError as error:
+        return [str(error)]
+    return []
+
+
 def _check_contents(tables: Mapping[str, pa.Table], tier: str, provenance: Mapping[str, str]) -> None:
     missing = [name for name in REQUIRED_TABLES if name not in tables]
     unknown = sorted(set(tables) - set(ALL_SCHEMAS))
@@ -146,15 +155,9 @@ def _check_contents(tables: Mapping[str, pa.Table], tier: str, provenance: Mappi
 
 
 def _check_labels_and_leaks(tables: Mapping[str, pa.Table], position_tolerance_m: float, rotation_tolerance_rad: float) -> None:
-    errors = find_label_errors(
-        tables["candidates"],
-        tables["grasps"],
-        tables["targets"],
-        position_tolerance_m=position_tolerance_m,
-        rotation_tolerance_rad=rotation_tolerance_rad,
-    )
+    errors = broken_laws(tables, position_tolerance_m=position_tolerance_m, rotation_tolerance_rad=rotation_tolerance_rad)
     if errors:
-        raise ReleaseError(f"labels: {len(errors)} rules broken, must be 0; first {errors[0]}")
+        raise ReleaseError(f"laws: {len(errors)} broken, must be 0; first {errors[0]}")
     leaks = find_leaks(tables)
     if leaks:
         raise ReleaseError(f"leakage: {len(leaks)} leaks, must be 0; first {leaks[0]}")
@@ -212,7 +215,6 @@ __all__ = [
     "Manifest",
     "ReleaseError",
     "TableEntry",
-    "find_label_errors",
     "find_leaks",
     "main",
     "read_manifest",

@@ -12,9 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+# Families of scenes, and how much of the benchmark there is: `pilot` is the beginning of the family `full`.
+FAMILIES = ("mini", "full")
+TIERS = ("mini", "pilot", "full")
 SCENES_PER_SHARD = 19
 N_FULL_SHARDS = 65
 N_MINI_SCENES = 12
+N_TARGETS = 8  # of every scene; a target id is one digit
 
 _SCENE = re.compile(r"(mini|full)-(\d{4})")
 _CANDIDATE = re.compile(r"((?:mini|full)-\d{4})-t(\d)-g(\d\d)")
@@ -110,6 +114,16 @@ def shard_of_scene(scene_id: str) -> str:
     """The shard that a scene belongs to."""
     family, index = parse_scene_id(scene_id)
     return "mini-000" if family == "mini" else f"full-{index // SCENES_PER_SHARD:03d}"
+
+
+def family_of_tier(tier: str) -> str:
+    """The family whose scenes a tier holds."""
+    return parse_scene_id(scenes_of_shard(shards_of_tier(tier)[0])[0])[0]
+
+
+def family_of_shard(shard: str) -> str:
+    """The family whose scenes a shard holds."""
+    return parse_scene_id(scenes_of_shard(shard)[0])[0]
 
 
 def shards_of_tier(tier: str) -> tuple[str, ...]:

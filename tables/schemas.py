@@ -176,6 +176,9 @@ TIMINGS = TableSchema("timings", "core time of each unit of work; never part of 
     text("stage", "stage that spent the time"), plain("item_id", "scene, grasp or candidate"), real("core_ms", "CPU time of the worker", "ms"),
 ))
 
+# The tables that describe the objects, in the order that objects.object_model takes them.
+OBJECT_TABLES = ("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool")
+
 LABEL_COLUMNS = tuple(column.name for column in (*_PLANNING, *_EXECUTION))
 
 ALL_SCHEMAS = {schema.name: schema for schema in (

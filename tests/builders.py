@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import trimesh
@@ -10,8 +10,10 @@ from jaxtyping import Float
 
 from objects.object_model import ObjectModel, PoolGrasp, StablePose, TriangleMesh
 from pipelines.engines.robot.arm import fk, follow_line
+from pipelines.stage import Law, Stage, Unit, UnitResult
 from pipelines.values import AdmittedGrasp, LiftedGrasp, Obstacle, Scene, Target
 from tables.poses import inverse
+from tables.schemas import SPLITS
 from tables.vocabulary import Symmetry
 
 OBSTACLE_SIZE_M = (0.10, 0.08, 0.12)
@@ -48,7 +50,7 @@ def box_model(size_m: Sequence[float] = (0.05, 0.06, 0.12), object_id: str = "cu
             *(tcp_pose((0, 0, 2 * offset), (0, side, 0), (1, 0, 0)) for side in (1, -1)),
         ]
     widths = [float(np.abs(T[:3, 1]) @ np.array(size_m)) for T in grasps]
-    return _kit(object_id, "cuboid", Symmetry.BOX, trimesh.creation.box(extents=size_m), sz / 2, grasps, widths)
+    return _model(object_id, "cuboid", Symmetry.BOX, trimesh.creation.box(extents=size_m), sz / 2, grasps, widths)
 
 
 def can_model(radius_m: float = 0.033, height_m: float = 0.12, object_id: str = "can_test") -> ObjectModel:
@@ -60,7 +62,7 @@ def can_model(radius_m: float = 0.033, height_m: float = 0.12, object_id: str = 
             grasps.append(tcp_pose((0, 0, height), approach, np.cross([0.0, 0.0, 1.0], approach)))
     grasps += [tcp_pose((0, 0, height_m / 2 - 0.02), (0, 0, -1), (np.cos(a), np.sin(a), 0)) for a in np.arange(4) * np.pi / 4]
     mesh = trimesh.creation.cylinder(radius=radius_m, height=height_m, sections=48)
-    return _kit(object_id, "can", Symmetry.REVOLUTION_Z, mesh, height_m / 2, grasps, [2 * radius_m] * len(grasps))
+    return _model(object_id, "can", Symmetry.REVOLUTION_Z, mesh, height_m / 2, grasps, [2 * radius_m] * len(grasps))
 
 
 def panda_scene(
@@ -85,7 +87,7 @@ def panda_scene(
 
 def ideally_lifted(object_model: ObjectModel, scene: Scene, admitted: AdmittedGrasp, lift_m: float = 0.12) -> LiftedGrasp:
     """The state after a lift in which nothing slipped."""
-    pool = next(grasp for grasp in object_model.grasps if grasp.grasp_id == admitted.grasp_id)
+    pool = object_model.grasp(admitted.grasp_id)
     T_end = admitted.T_base_grasp.copy()
     T_end[2, 3] += lift_m
     line = follow_line(admitted.T_base_grasp, T_end, admitted.grasp_q_rad)
@@ -95,7 +97,14 @@ def ideally_lifted(object_model: ObjectModel, scene: Scene, admitted: AdmittedGr
     return LiftedGrasp(admitted.grasp_id, line[-1], fingers_m, fk(line[-1]) @ T_tcp_object, T_tcp_object)
 
 
-def _kit(
+def made_up_stage(
+    run: Callable[[Unit], UnitResult], code_version: str = "1", law: Law = lambda tables, promise: [], engines: tuple[str, ...] = ()
+) -> Stage:
+    """A stage that stands at the start of a chain and makes rows of `splits`."""
+    return Stage("draw", "made up", "Makes up rows.", code_version, (), (), (SPLITS,), (), engines, run, law)
+
+
+def _model(
     object_id: str,
     category: str,
     symmetry: Symmetry,

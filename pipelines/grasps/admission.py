@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -10,13 +11,16 @@ from jaxtyping import Float
 
 from objects.gripper import open_jaw_m
 from objects.object_model import ObjectModel, PoolGrasp
+from pipelines import laws
 from pipelines.codecs import Row, joints_row
 from pipelines.engines.planning.bodies import CLEARANCE_M, Body, bodies_meet, hand_body
 from pipelines.engines.planning.collision import CollisionModel
 from pipelines.engines.planning.planner import CountedChecks
 from pipelines.engines.robot.arm import HOME_Q_RAD, QD_MAX_RAD_S, follow_line, ik
+from pipelines.stage import Stage, Unit, UnitResult, timing_row
 from pipelines.values import Scene
 from tables.poses import inverse, matrix_of, pose_columns, pose_of
+from tables.schemas import GRASP_ADMISSION, OBSTACLES, SCENES, TARGETS
 from tables.vocabulary import AdmissionStatus
 
 
@@ -156,3 +160,26 @@ def _verdict_on_object(body: Body, T_object_grasp: bytes, jaw_width_m: float, pa
     if not all(bodies_meet(body.parts, (pad,), T, 0.0) for pad in (closed[1], closed[3])):
         return AdmissionStatus.FINGERS_MISS
     return None
+
+
+def run(unit: Unit) -> UnitResult:
+    """Every pool grasp in one scene."""
+    start = time.process_time_ns()
+    rows = admission_rows(unit.object_model, unit.scene, unit.params(AdmissionParams))
+    return UnitResult({"grasp_admission": rows}, [timing_row("grasp_admission", unit.item_id, start)])
+
+
+STAGE = Stage(
+    name="grasp_admission",
+    group="grasps",
+    description="Tests every pool grasp in every scene by geometry alone and keeps the reason for each rejection.",
+    code_version="1",
+    inputs=(SCENES, OBSTACLES, TARGETS),
+    objects=("object_parts", "grasp_pool"),
+    outputs=(GRASP_ADMISSION,),
+    sections=(AdmissionParams,),
+    engines=("pin", "coal", "frankik", "numpy"),
+    run=run,
+    law=laws.grasp_admission_law,
+    time_share=0.02,
+)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -10,13 +11,16 @@ from jaxtyping import Float
 
 from objects.gripper import open_jaw_m
 from objects.object_model import ObjectModel
+from pipelines import laws
 from pipelines.codecs import Row, joints_row, pose_row
 from pipelines.engines.physics.errors import PhysicsError
 from pipelines.engines.physics.rollout import Phase, close_fingers, hold, move, pose_difference, pressing_fingers
 from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
 from pipelines.engines.planning.trajectory import MotionParams, time_path
 from pipelines.engines.robot.arm import fk, follow_line
+from pipelines.stage import Stage, Unit, UnitResult, timing_row
 from pipelines.values import AdmittedGrasp, Scene
+from tables.schemas import GRASP_ADMISSION, OBSTACLES, PICK_LIFT, SCENES, TARGETS
 from tables.vocabulary import LiftStatus
 
 
@@ -58,10 +62,7 @@ def pick_lift_rows(
 
 def _pick_lift_row(world: PhysicsWorld, scene: Scene, grasp: AdmittedGrasp, params: PickLiftParams, motion: MotionParams) -> Row:
     label = f"{scene.scene_id}-g{grasp.grasp_id:02d}"
-    width_m = next((pool.jaw_width_m for pool in world.object_model.grasps if pool.grasp_id == grasp.grasp_id), None)
-    if width_m is None:
-        raise PhysicsError(f"{label}: grasp {grasp.grasp_id} is not in the pool of {world.object_model.object_id}")
-    opening_m = open_jaw_m(width_m)
+    opening_m = open_jaw_m(world.object_model.grasp(grasp.grasp_id).jaw_width_m)
     T_lifted_grasp = grasp.T_base_grasp.copy()
     T_lifted_grasp[2, 3] += params.lift_m
     # Followed from the grasp outwards, as admission did: the very rows that it checked.
@@ -121,3 +122,28 @@ def _line(label: str, grasp: AdmittedGrasp, T_end: Float[np.ndarray, "4 4"]) -> 
         end = T_end[:3, 3].round(3).tolist()
         raise PhysicsError(f"{label}: the arm cannot follow the line from the grasp to {end} m that admission passed")
     return path
+
+
+def run(unit: Unit) -> UnitResult:
+    """One admitted grasp."""
+    start = time.process_time_ns()
+    params, motion, physics = unit.params(PickLiftParams), unit.params(MotionParams), unit.params(PhysicsParams)
+    rows = pick_lift_rows(unit.object_model, unit.scene, unit.known.admitted, params, motion, physics)
+    return UnitResult({"pick_lift": rows}, [timing_row("pick_lift", unit.item_id, start)])
+
+
+STAGE = Stage(
+    name="pick_lift",
+    group="grasps",
+    description="Executes each admitted grasp in physics: approach, close, lift, hold; keeps the measured state after the lift.",
+    code_version="2",
+    inputs=(SCENES, OBSTACLES, TARGETS, GRASP_ADMISSION),
+    objects=("objects", "object_parts", "grasp_pool"),
+    outputs=(PICK_LIFT,),
+    sections=(PickLiftParams, MotionParams, PhysicsParams),
+    engines=("pybullet", "frankik", "ruckig", "numpy", "scipy"),
+    run=run,
+    law=laws.pick_lift_law,
+    split="admitted",
+    time_share=0.10,
+)

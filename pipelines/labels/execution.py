@@ -1,10 +1,11 @@
-"""Does a planned placement survive physics? Carry, descend, release, retreat, settle and judge; plans are planning_labels'."""
+"""Does a planned placement survive physics? Carry, descend, release, retreat, settle and judge; plans come from planning.py."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,12 +13,14 @@ from jaxtyping import Float
 
 from objects.gripper import open_jaw_m
 from objects.object_model import ObjectModel
+from pipelines import laws
 from pipelines.codecs import Row, pose_row
 from pipelines.engines.physics.rollout import Phase, RestWatch, Watch, hold, move, open_fingers, pose_difference, settle
 from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
 from pipelines.engines.planning.trajectory import MotionParams, time_path
-from pipelines.values import LiftedGrasp, Plan, Scene
-from tables.identity import candidate_id_of
+from pipelines.stage import Stage, Unit, UnitResult, timing_row
+from pipelines.values import Candidate, LiftedGrasp, Plan
+from tables.schemas import CANDIDATE_PAIRS, EXECUTION_LABELS, OBSTACLES, PICK_LIFT, PLANNING_LABELS, PLANS, SCENES, TARGETS
 from tables.vocabulary import ExecStatus, Perturbation, Symmetry
 
 
@@ -50,42 +53,38 @@ class ExecutionParams:
                 raise ValueError(f"{item.name} = {value}, must be in (0, 1e5)")
 
 
-def execution_rows(
-    object_model: ObjectModel,
-    scene: Scene,
-    grasp: LiftedGrasp,
-    plans: Mapping[int, Plan],
-    params: ExecutionParams,
-    motion: MotionParams,
-    physics: PhysicsParams,
-) -> Iterator[Row]:
-    """Rows of `execution_labels` of one grasp, one a planned target, as they finish.
+@dataclass(frozen=True, slots=True)
+class ExecutionSetup:
+    """How plans are executed: phases and verdicts, timing of the motions, physics."""
+
+    execution: ExecutionParams
+    motion: MotionParams
+    physics: PhysicsParams
+
+
+def execution_rows(object_model: ObjectModel, planned: Sequence[tuple[Candidate, Plan]], setup: ExecutionSetup) -> Iterator[Row]:
+    """Rows of `execution_labels` of one grasp, one a planned candidate, as they finish.
 
     They share an engine, which takes 10 ms to start, and no state: the world is built anew for each.
 
     Args:
-        plans: by target id.
+        planned: candidates of one scene.
 
     Raises:
         PhysicsError: the engine gave a pose that is not finite; names the candidate.
     """
-    with PhysicsWorld(object_model, scene.obstacles, physics) as world:
-        for target_id in sorted(plans):
-            yield execute_candidate(world, scene, grasp, target_id, plans[target_id], params, motion)
+    if not planned:
+        return
+    with PhysicsWorld(object_model, planned[0][0].scene.obstacles, setup.physics) as world:
+        for candidate, plan in planned:
+            yield execute_candidate(world, candidate, plan, setup)
 
 
 def execute_perturbed(
-    object_model: ObjectModel,
-    scene: Scene,
-    grasp: LiftedGrasp,
-    target_id: int,
-    plan: Plan,
-    perturbation: Perturbation,
-    params: ExecutionParams,
-    motion: MotionParams,
-    physics: PhysicsParams,
+    object_model: ObjectModel, candidate: Candidate, plan: Plan, perturbation: Perturbation, setup: ExecutionSetup
 ) -> Row:
     """The row of one candidate under a change that ought not to matter: longer hold, finer steps, other friction, or none."""
+    params, physics = setup.execution, setup.physics
     friction_scale = {Perturbation.FRICTION_UP: 1.05, Perturbation.FRICTION_DOWN: 0.95}.get(perturbation, 1.0)
     if perturbation is Perturbation.HOLD:
         params = dataclasses.replace(params, hold_s=0.10)
@@ -93,43 +92,33 @@ def execute_perturbed(
         # Twice the steps between checks too: what is measured is the step, not how often the outcome is looked at.
         physics = dataclasses.replace(physics, dt_s=physics.dt_s / 2, check_every_steps=2 * physics.check_every_steps)
         params = dataclasses.replace(params, max_settle_steps=2 * params.max_settle_steps)
-    with PhysicsWorld(object_model, scene.obstacles, physics, friction_scale) as world:
-        return execute_candidate(world, scene, grasp, target_id, plan, params, motion)
+    with PhysicsWorld(object_model, candidate.scene.obstacles, physics, friction_scale) as world:
+        return execute_candidate(world, candidate, plan, ExecutionSetup(params, setup.motion, physics))
 
 
-def execute_candidate(
-    world: PhysicsWorld,
-    scene: Scene,
-    grasp: LiftedGrasp,
-    target_id: int,
-    plan: Plan,
-    params: ExecutionParams,
-    motion: MotionParams,
-    watch: Watch | None = None,
-) -> Row:
+def execute_candidate(world: PhysicsWorld, candidate: Candidate, plan: Plan, setup: ExecutionSetup, watch: Watch | None = None) -> Row:
     """The row of one candidate, run in `world` from the post-lift state.
 
     Args:
         watch: sees every phase every few steps (a trace, a film); cannot change the outcome.
     """
-    candidate_id = candidate_id_of(scene.scene_id, target_id, grasp.grasp_id)
-    target = next(target for target in scene.targets if target.target_id == target_id)
+    grasp, params = candidate.grasp, setup.execution
     monitor = _Monitor(world, grasp.T_tcp_object, params, watch)
-    _start(world, candidate_id, scene, grasp)
-    is_held = _carry(world, plan, params, motion, monitor)
+    _start(world, candidate)
+    is_held = _carry(world, plan, setup, monitor)
     T_release = world.object_pose()
-    drag_m = _let_go(world, grasp, plan, params, motion, monitor) if is_held else None
+    drag_m = _let_go(world, grasp, plan, setup, monitor) if is_held else None
     # From here on the arm touches nothing, or the object has left the hand: alone it settles at a tenth of the cost.
     world.remove_robot()
     is_settled = settle(world, params.max_settle_steps, monitor.film)
     T_final = world.object_pose()
 
-    release = _error(world.object_model, T_release, target.T_base_target)
-    final = _error(world.object_model, T_final, target.T_base_target)
+    release = _error(world.object_model, T_release, candidate.target.T_base_target)
+    final = _error(world.object_model, T_final, candidate.target.T_base_target)
     margin = 1.0 - max(final[0] / params.position_tolerance_m, final[1] / params.rotation_tolerance_rad)
-    status = _status(world, params, monitor, is_held, is_settled, margin, T_release, T_final, drag_m)
+    status = _status(world, params, monitor, _Ending(is_held, is_settled, margin, T_release, T_final, drag_m))
     return {
-        "candidate_id": candidate_id,
+        "candidate_id": candidate.candidate_id,
         "y_pipe": status is ExecStatus.SUCCESS,
         "exec_status": status.value,
         "final_position_error_m": final[0],
@@ -145,32 +134,33 @@ def execute_candidate(
     }
 
 
-def _start(world: PhysicsWorld, candidate_id: str, scene: Scene, grasp: LiftedGrasp) -> None:
+def _start(world: PhysicsWorld, candidate: Candidate) -> None:
     """The post-lift state from its saved numbers, gripping."""
-    world.rebuild(candidate_id, with_robot=True)
+    grasp = candidate.grasp
+    world.rebuild(candidate.candidate_id, with_robot=True)
     world.set_arm(grasp.lifted_q_rad, grasp.fingers_m.tolist())
     world.set_object(grasp.T_base_lifted)
     world.grip()
 
 
-def _carry(world: PhysicsWorld, plan: Plan, params: ExecutionParams, motion: MotionParams, monitor: _Monitor) -> bool:
+def _carry(world: PhysicsWorld, plan: Plan, setup: ExecutionSetup, monitor: _Monitor) -> bool:
     """Hold, transport and descend; False where the object was dropped on the way."""
-    transport = time_path(plan.transport_q_rad, motion, world.params.dt_s, stop_at_waypoints=True)
-    descend = time_path(plan.descend_q_rad, motion, world.params.dt_s, stop_at_waypoints=False)
+    transport = time_path(plan.transport_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=True)
+    descend = time_path(plan.descend_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=False)
     return (
-        hold(world, Phase.HOLD, params.hold_s, monitor.carried)
+        hold(world, Phase.HOLD, setup.execution.hold_s, monitor.carried)
         and move(world, Phase.TRANSPORT, transport, monitor.carried)
         and move(world, Phase.DESCEND, descend, monitor.carried)
     )
 
 
-def _let_go(world: PhysicsWorld, grasp: LiftedGrasp, plan: Plan, params: ExecutionParams, motion: MotionParams, monitor: _Monitor) -> float:
+def _let_go(world: PhysicsWorld, grasp: LiftedGrasp, plan: Plan, setup: ExecutionSetup, monitor: _Monitor) -> float:
     """Open and retreat; returns how far the object moved during the retreat, in metres."""
-    width_m = next(g.jaw_width_m for g in world.object_model.grasps if g.grasp_id == grasp.grasp_id)
-    open_fingers(world, open_jaw_m(width_m), params.max_open_s, monitor.released)
-    hold(world, Phase.OPEN, params.release_wait_s, monitor.released)
+    width_m = world.object_model.grasp(grasp.grasp_id).jaw_width_m
+    open_fingers(world, open_jaw_m(width_m), setup.execution.max_open_s, monitor.released)
+    hold(world, Phase.OPEN, setup.execution.release_wait_s, monitor.released)
     T_opened = world.object_pose()
-    retreat = time_path(plan.retreat_q_rad, motion, world.params.dt_s, stop_at_waypoints=False)
+    retreat = time_path(plan.retreat_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=False)
     monitor.rest = RestWatch(world)
     move(world, Phase.RETREAT, retreat, monitor.released)
     return pose_difference(T_opened, world.object_pose())[0]
@@ -220,31 +210,33 @@ class _Monitor:
             self.impulse_n_s += self.world.force_n(body, name) * seconds
 
 
-def _status(
-    world: PhysicsWorld,
-    params: ExecutionParams,
-    monitor: _Monitor,
-    is_held: bool,
-    is_settled: bool,
-    margin: float,
-    T_release: Float[np.ndarray, "4 4"],
-    T_final: Float[np.ndarray, "4 4"],
-    drag_m: float | None,
-) -> ExecStatus:
+@dataclass(frozen=True, slots=True)
+class _Ending:
+    """How an execution ended; `drag_m` is None where the object was lost before the release."""
+
+    is_held: bool
+    is_settled: bool
+    margin: float
+    T_release: Float[np.ndarray, "4 4"]
+    T_final: Float[np.ndarray, "4 4"]
+    drag_m: float | None
+
+
+def _status(world: PhysicsWorld, params: ExecutionParams, monitor: _Monitor, end: _Ending) -> ExecStatus:
     """A drop or a collision fails whatever the end; every other status says why the end is not valid."""
     is_collided = monitor.impulse_n_s > params.collision_impulse_n_s
-    if is_held and not is_collided and is_settled and margin >= 0.0:
+    if end.is_held and not is_collided and end.is_settled and end.margin >= 0.0:
         return ExecStatus.SUCCESS
     (x0, x1), (y0, y1) = world.params.table_x_m, world.params.table_y_m
-    x, y, z = T_final[:3, 3]
+    x, y, z = end.T_final[:3, 3]
     reasons = (
-        (not is_held, ExecStatus.DROPPED),
+        (not end.is_held, ExecStatus.DROPPED),
         (monitor.slip_m > params.slipped_m or monitor.slip_rad > params.slipped_rad, ExecStatus.SLIPPED),
         (is_collided, ExecStatus.COLLIDED),
         (not (x0 < x < x1 and y0 < y < y1 and z > 0.0), ExecStatus.OFF_TABLE),
-        (drag_m is not None and drag_m > params.dragged_m and monitor.is_touched_in_retreat, ExecStatus.DRAGGED),
-        (_tilt_rad(world.object_model, T_release, T_final) > params.toppled_rad, ExecStatus.TOPPLED),
-        (not is_settled, ExecStatus.NOT_SETTLED),
+        (end.drag_m is not None and end.drag_m > params.dragged_m and monitor.is_touched_in_retreat, ExecStatus.DRAGGED),
+        (_tilt_rad(world.object_model, end.T_release, end.T_final) > params.toppled_rad, ExecStatus.TOPPLED),
+        (not end.is_settled, ExecStatus.NOT_SETTLED),
     )
     return next((status for applies, status in reasons if applies), ExecStatus.OFF_TARGET)
 
@@ -263,3 +255,34 @@ def _tilt_rad(object_model: ObjectModel, T_a: Float[np.ndarray, "4 4"], T_b: Flo
     if object_model.symmetry is Symmetry.REVOLUTION_Z:
         return abs(math.acos(float(np.clip(up_a[2], -1.0, 1.0))) - math.acos(float(np.clip(up_b[2], -1.0, 1.0))))
     return float(np.arctan2(np.linalg.norm(np.cross(up_a, up_b)), up_a @ up_b))
+
+
+def run(unit: Unit) -> UnitResult:
+    """The planned candidates of one lifted grasp."""
+    setup = ExecutionSetup(unit.params(ExecutionParams), unit.params(MotionParams), unit.params(PhysicsParams))
+    planned = [(c, unit.known.plans[c.candidate_id]) for c in unit.known.candidates if c.candidate_id in unit.known.plans]
+    rows, timings, start = [], [], time.process_time_ns()
+    for row in execution_rows(unit.object_model, planned, setup):
+        rows.append(row)
+        timings.append(timing_row("execution_labels", row["candidate_id"], start))
+        start = time.process_time_ns()
+    if timings:  # the engine's end
+        timings[-1]["core_ms"] += (time.process_time_ns() - start) / 1e6
+    return UnitResult({"execution_labels": rows}, timings)
+
+
+STAGE = Stage(
+    name="execution_labels",
+    group="labels",
+    description="Executes every plan in physics from the measured post-lift state and validates the final object pose.",
+    code_version="2",
+    inputs=(SCENES, OBSTACLES, TARGETS, PICK_LIFT, CANDIDATE_PAIRS, PLANNING_LABELS, PLANS),
+    objects=("objects", "object_parts", "grasp_pool"),
+    outputs=(EXECUTION_LABELS,),
+    sections=(ExecutionParams, MotionParams, PhysicsParams),
+    engines=("pybullet", "frankik", "ruckig", "numpy", "scipy"),
+    run=run,
+    law=laws.execution_labels_law,
+    split="lifted",
+    time_share=0.65,
+)

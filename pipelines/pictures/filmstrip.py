@@ -1,4 +1,4 @@
-"""Pictures of one execution, from lift to rest, for people; what happens in them is execution_labels'."""
+"""Pictures of one execution, from lift to rest, for people; what happens in them is decided in labels.execution."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from jaxtyping import Float, UInt8
 from objects.object_model import ObjectModel
 from pipelines.codecs import Row
 from pipelines.engines.physics.rollout import Phase
-from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
-from pipelines.engines.planning.trajectory import MotionParams
-from pipelines.labels.execution import ExecutionParams, execute_candidate
+from pipelines.engines.physics.world import PhysicsWorld
+from pipelines.labels.execution import ExecutionSetup, execute_candidate
 from pipelines.pictures.renderer import Renderer
 from pipelines.pictures.views import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, picture_view, shrunk
-from pipelines.values import LiftedGrasp, Plan, Scene
+from pipelines.values import Candidate, Plan, Scene
 
 _GHOST_OPACITY = 0.4
 
@@ -31,13 +30,9 @@ class Frame:
 
 def render_execution_frames(
     object_model: ObjectModel,
-    scene: Scene,
-    grasp: LiftedGrasp,
-    target_id: int,
+    candidate: Candidate,
     plan: Plan,
-    params: ExecutionParams,
-    motion: MotionParams,
-    physics: PhysicsParams,
+    setup: ExecutionSetup,
     *,
     n_frames: int = 6,
     size_px: tuple[int, int] = (320, 240),
@@ -49,12 +44,11 @@ def render_execution_frames(
     Returns:
         The row of `execution_labels`, and `n_frames` frames.
     """
-    with PhysicsWorld(object_model, scene.obstacles, physics) as world:
+    with PhysicsWorld(object_model, candidate.scene.obstacles, setup.physics) as world:
         film = _Film(world)
-        row = execute_candidate(world, scene, grasp, target_id, plan, params, motion, film.watch)
+        row = execute_candidate(world, candidate, plan, setup, film.watch)
     picked = np.unique(np.linspace(0, len(film.states) - 1, n_frames).round().astype(int))
-    target = next(target for target in scene.targets if target.target_id == target_id)
-    return row, _pictures(object_model, scene, target.T_base_target, [film.states[k] for k in picked], size_px)
+    return row, _pictures(object_model, candidate.scene, candidate.target.T_base_target, [film.states[k] for k in picked], size_px)
 
 
 @dataclass(frozen=True, slots=True)

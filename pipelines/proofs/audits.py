@@ -6,15 +6,16 @@ What the rows mean is reports.audit's; physics under perturbations is pipelines.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import groupby
 
 import pyarrow as pa
 
-from objects.object_model import ObjectModel, object_models_from_tables
-from pipelines.codecs import Row, lifted_grasps, plan_in, rows_by, scenes_from_tables
+from objects.object_model import ObjectModel
+from pipelines.codecs import Row
+from pipelines.decoded import Decoded
 from pipelines.engines.planning.collision import CollisionModel
 from pipelines.labels.planning import judge_candidate
 from pipelines.proofs.audit.bullet_scene import BulletScene
@@ -24,15 +25,10 @@ from pipelines.proofs.audit.paths import recheck_path
 from pipelines.proofs.audit.rejections import rejudge
 from pipelines.recipe import Recipe
 from pipelines.running.workers import run_units
-from pipelines.values import LiftedGrasp, Plan, Scene
-from tables.identity import candidate_id_of, order_key, parse_candidate_id
+from pipelines.values import Candidate, Plan
+from tables.identity import order_key
 from tables.vocabulary import Audit, PlanStatus
 
-# Tables of a release that `audit_items` reads.
-AUDITED_TABLES = (
-    "objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool",
-    "scenes", "obstacles", "targets", "grasps", "candidates", "plans",
-)  # fmt: skip
 N_BUDGET = 300  # ten times the budget is up to ten core-seconds a candidate
 _ITEMS_A_UNIT = 8  # they share a scene and its engine; small enough that two workers end together
 
@@ -43,16 +39,14 @@ class AuditItem:
 
     recipe: Recipe
     object_model: ObjectModel
-    scene: Scene
-    grasp: LiftedGrasp
-    target_id: int
+    candidate: Candidate
     stored_status: PlanStatus
     plan: Plan | None
     audit: Audit
 
     @property
     def candidate_id(self) -> str:
-        return candidate_id_of(self.scene.scene_id, self.target_id, self.grasp.grasp_id)
+        return self.candidate.candidate_id
 
 
 def choose_audited(candidates: pa.Table, seed: int, n_plans: int, n_per_reason: int) -> list[tuple[str, Audit]]:
@@ -79,27 +73,18 @@ def choose_audited(candidates: pa.Table, seed: int, n_plans: int, n_per_reason: 
     return sorted(chosen)
 
 
-def audit_items(chosen: Sequence[tuple[str, Audit]], tables: Mapping[str, pa.Table], recipe: Recipe) -> list[AuditItem]:
-    """Everything the chosen audits need, from the tables of a release.
+def audit_items(chosen: Sequence[tuple[str, Audit]], release: Decoded, recipe: Recipe) -> list[AuditItem]:
+    """Everything the chosen audits need.
 
     Args:
-        tables: those of `AUDITED_TABLES`.
+        release: object tables, `scenes`, `obstacles`, `targets`, `grasps`, `candidates` and `plans`.
         recipe: what the labels were made with.
     """
-    object_models = object_models_from_tables(*(tables[name] for name in AUDITED_TABLES[:5]))
-    scenes = scenes_from_tables(tables["scenes"], tables["obstacles"], tables["targets"])
-    grasps = {name: {g.grasp_id: g for g in lifted_grasps(rows)} for name, rows in rows_by(tables["grasps"], "scene_id").items()}
-    statuses = {
-        row["candidate_id"]: PlanStatus(row["plan_status"]) for row in _columns(tables["candidates"], "candidate_id", "plan_status")
-    }
-    rechecked = {name for name, audit in chosen if audit is Audit.PATH_GEOMETRY}
-    plans = {row["candidate_id"]: plan_in(row) for row in tables["plans"].to_pylist() if row["candidate_id"] in rechecked}
     items = []
     for name, audit in chosen:
-        c = parse_candidate_id(name)
-        scene = scenes[c.scene_id]
-        grasp, object_model = grasps[c.scene_id][c.grasp_id], object_models[scene.object_id]
-        items.append(AuditItem(recipe, object_model, scene, grasp, c.target_id, statuses[name], plans.get(name), audit))
+        candidate, status = release.candidate(name), PlanStatus(release.labels(name)["plan_status"])
+        plan = release.plan(name) if audit is Audit.PATH_GEOMETRY else None
+        items.append(AuditItem(recipe, release.object_model_of(candidate), candidate, status, plan, audit))
     return items
 
 
@@ -109,9 +94,9 @@ def audit_rows(items: Sequence[AuditItem], n_workers: int, params: AuditParams |
     Raises:
         AuditError: an audit failed or its process died.
     """
-    ordered = sorted(items, key=lambda item: (item.scene.scene_id, item.audit.value, item.candidate_id))
+    ordered = sorted(items, key=lambda item: (item.candidate.scene.scene_id, item.audit.value, item.candidate_id))
     units: list[tuple[list[AuditItem], AuditParams]] = []
-    for _, group in groupby(ordered, key=lambda item: (item.scene.scene_id, item.audit)):
+    for _, group in groupby(ordered, key=lambda item: (item.candidate.scene.scene_id, item.audit)):
         alike = list(group)
         units += [(alike[k : k + _ITEMS_A_UNIT], params or AuditParams()) for k in range(0, len(alike), _ITEMS_A_UNIT)]
     with closing(run_units(audit_unit, units, n_workers)) as outcomes:
@@ -126,9 +111,9 @@ def audit_unit(items: Sequence[AuditItem], params: AuditParams) -> list[Row]:
     """Rows of audits of one kind in one scene."""
     first = items[0]
     if first.audit is Audit.SEARCH_BUDGET:
-        model = CollisionModel(first.scene, first.object_model)
+        model = CollisionModel(first.candidate.scene, first.object_model)
         return [_budget_row(item, model, params) for item in items]
-    with BulletScene(first.scene, first.object_model, exact=first.audit is Audit.REJECTION) as world:
+    with BulletScene(first.candidate.scene, first.object_model, exact=first.audit is Audit.REJECTION) as world:
         judge = _path_row if first.audit is Audit.PATH_GEOMETRY else _rejection_row
         return [judge(item, world, params) for item in items]
 
@@ -137,9 +122,8 @@ def _path_row(item: AuditItem, world: BulletScene, params: AuditParams) -> Row:
     if item.plan is None:
         raise AuditError(f"{item.candidate_id}: stored as {item.stored_status}, but has no plan")
     recipe = item.recipe
-    T_base_place = next(target.T_base_target for target in item.scene.targets if target.target_id == item.target_id).copy()
-    T_base_place[2, 3] += recipe.planning.release_height_m
-    verdict = recheck_path(world, item.grasp, T_base_place, item.plan, recipe.motion, params.step_rad)
+    T_base_place = item.candidate.release_pose(recipe.planning.release_height_m)
+    verdict = recheck_path(world, item.candidate.grasp, T_base_place, item.plan, recipe.motion, params.step_rad)
     return {
         **_row(item, None, verdict.n_configurations, agrees=verdict.depth_m <= params.max_depth_m),
         "depth_m": verdict.depth_m,
@@ -152,12 +136,12 @@ def _budget_row(item: AuditItem, model: CollisionModel, params: AuditParams) -> 
     planning = item.recipe.planning
     search = dataclasses.replace(planning.search, max_checks=params.budget_factor * planning.search.max_checks)
     patient = dataclasses.replace(planning, search=search)
-    found = judge_candidate(item.object_model, item.scene, item.grasp, item.target_id, patient, item.recipe.seed, model)
+    found = judge_candidate(item.object_model, item.candidate, patient, item.recipe.seed, model)
     return _row(item, found.status, found.n_checks, agrees=found.plan is None)
 
 
 def _rejection_row(item: AuditItem, world: BulletScene, params: AuditParams) -> Row:
-    found = rejudge(world, item.grasp, item.target_id, item.recipe.planning, params, item.recipe.seed)
+    found = rejudge(world, item.candidate, item.recipe.planning, params, item.recipe.seed)
     return _row(item, found.status, found.n_configurations, agrees=found.status is not PlanStatus.SOLVED)
 
 
@@ -173,7 +157,3 @@ def _row(item: AuditItem, audited: PlanStatus | None, n_configurations: int, *, 
         "n_configurations": n_configurations,
         "agrees": agrees,
     }
-
-
-def _columns(table: pa.Table, *names: str) -> list[Row]:
-    return table.select(list(names)).to_pylist()

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.running.data_root import DataRoot
-from pipelines.running.shard_runner import ShardInputs
-from pipelines.stages import Stage, rows_by_scene, units_of
+from pipelines.running.shard_runner import ShardInputs, units_of_shard
+from pipelines.stage import Stage
 
 
 def largest_costs(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs, n_units: int, n_costs: int = 3) -> list[tuple[str, float]]:
@@ -19,12 +19,7 @@ def largest_costs(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs,
         stage: made for the shard before; nothing is written.
         n_units: units to run, spread over the shard. A profiler makes calls dearer: shares of small Python functions are a little high.
     """
-    rows = rows_by_scene(root.read_shard(shard, stage.inputs), [allocation.scene_id for allocation in inputs.allocations])
-    units = [
-        unit
-        for allocation in inputs.allocations
-        for unit in units_of(stage, inputs.recipe, inputs.object_models[allocation.object_id], allocation, rows[allocation.scene_id])
-    ]
+    units = units_of_shard(stage, inputs, root.read_shard(shard, stage.inputs), inputs.allocations)
     profile = cProfile.Profile()
     for unit in units[:: max(1, len(units) // n_units)][:n_units]:
         profile.runcall(stage.run, unit)

@@ -9,16 +9,18 @@ import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 
 from objects.build import build_object_models
 from objects.catalogue import catalogue_order, load_catalogue
 from objects.object_model import ObjectModel
-from pipelines.codecs import Row
+from pipelines.codecs import Row, known_in, rows_by_scene
 from pipelines.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from pipelines.running.data_root import DataRoot
-from pipelines.scenes.allocation import SceneAllocation, scene_allocation
-from pipelines.stages import STAGES, rows_by_scene, units_of
+from pipelines.scenes.allocation import scene_allocation
+from pipelines.stages import STAGES
+from pipelines.values import SceneAllocation
 from tables.identity import CandidateId, IdentityError, parse_candidate_id, parse_scene_id, shard_of_scene
 from tables.schemas import ALL_SCHEMAS
 from tables.store import StoreError, content_hash, table_from_rows
@@ -71,14 +73,17 @@ def _make_rows(
     """The chain of stages in this process; for a candidate only its own grasp is lifted, planned and executed."""
     rows: dict[str, list[Row]] = {}
     for stage in STAGES:
-        units = units_of(stage, recipe, object_model, allocation, rows)
-        if candidate and stage.grasp_ids is not None:
-            units = [unit for unit in units if unit.grasp_id == candidate.grasp_id]
+        known = known_in({schema.name: rows[schema.name] for schema in stage.inputs})
+        units = stage.units(object_model, allocation, known, recipe.sections(*stage.sections), recipe.seed)
         for schema in stage.outputs:
             rows[schema.name] = []
         for unit in units:
-            for table, more in stage.run(unit).rows.items():
-                rows[table] += more
+            if candidate is None or unit.grasp_id in (None, candidate.grasp_id):
+                for table, more in stage.run(unit).rows.items():
+                    rows[table] += more
+        for schema in stage.outputs:
+            # In key order, as a reader of the table sees them.
+            rows[schema.name] = sorted(rows[schema.name], key=itemgetter(*schema.key))
     return rows
 
 

@@ -1,6 +1,6 @@
 """Makes a candidate's labels again, in a fresh process or under a change that ought not to matter, and compares them with the stored ones.
 
-What the mismatches mean, and which tasks are repeated blindly, is reports.repeatability's.
+What the mismatches mean, and which tasks are repeated blindly, is decided in reports.repeatability.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from pipelines.labels.execution import execute_perturbed
 from pipelines.labels.planning import planning_rows
 from pipelines.recipe import Recipe
 from pipelines.running.workers import run_units
-from pipelines.values import LiftedGrasp, Scene
+from pipelines.values import Candidate
 from tables.columns import TableSchema
-from tables.identity import candidate_id_of, order_key
+from tables.identity import order_key
 from tables.schemas import EXECUTION_LABELS, PLANNING_LABELS
 from tables.vocabulary import Perturbation
 
@@ -34,9 +34,7 @@ class Repeat:
 
     recipe: Recipe
     object_model: ObjectModel
-    scene: Scene
-    grasp: LiftedGrasp
-    target_id: int
+    candidate: Candidate
     stored: Mapping[str, object]
     perturbation: Perturbation
     repeat: int
@@ -82,34 +80,22 @@ def attempt_rows(repeats: Sequence[Repeat], n_workers: int) -> Iterator[Row]:
 
 def attempt_row(repeat: Repeat) -> Row:
     """Plan again and, where a plan is found, execute again from the stored post-lift state."""
-    recipe, scene, stored = repeat.recipe, repeat.scene, repeat.stored
-    candidate_id = candidate_id_of(scene.scene_id, repeat.target_id, repeat.grasp.grasp_id)
-    labels, plans = planning_rows(repeat.object_model, scene, repeat.grasp, [repeat.target_id], recipe.planning, recipe.motion, recipe.seed)
+    recipe, candidate, stored = repeat.recipe, repeat.candidate, repeat.stored
+    label, plan_row = planning_rows(repeat.object_model, candidate, recipe.planning_setup)
     execution: Row = dict.fromkeys(EXECUTION_LABELS.names)
-    if plans:
-        plan = plan_in(plans[0])
-        execution = execute_perturbed(
-            repeat.object_model,
-            scene,
-            repeat.grasp,
-            repeat.target_id,
-            plan,
-            repeat.perturbation,
-            recipe.execution,
-            recipe.motion,
-            recipe.physics,
-        )
+    if plan_row is not None:
+        execution = execute_perturbed(repeat.object_model, candidate, plan_in(plan_row), repeat.perturbation, recipe.execution_setup)
     return {
-        "candidate_id": candidate_id,
+        "candidate_id": candidate.candidate_id,
         "perturbation": repeat.perturbation.value,
         "repeat": repeat.repeat,
-        "plan_status": labels[0]["plan_status"],
+        "plan_status": label["plan_status"],
         "exec_status": execution["exec_status"],
         "final_position_error_m": execution["final_position_error_m"],
         "final_rotation_error_rad": execution["final_rotation_error_rad"],
-        "plan_matches": labels[0]["plan_status"] == stored["plan_status"],
+        "plan_matches": label["plan_status"] == stored["plan_status"],
         "exec_matches": execution["exec_status"] == stored["exec_status"],
-        "is_identical": _agrees(PLANNING_LABELS, labels[0], stored) and _agrees(EXECUTION_LABELS, execution, stored),
+        "is_identical": _agrees(PLANNING_LABELS, label, stored) and _agrees(EXECUTION_LABELS, execution, stored),
     }
 
 

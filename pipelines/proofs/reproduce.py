@@ -17,12 +17,12 @@ from rich.table import Table
 
 from pipelines.proofs.regenerate import regenerate
 from pipelines.recipe import load_recipe
-from pipelines.running.data_root import OBJECT_TABLES, DataRoot
+from pipelines.running.data_root import DataRoot
 from pipelines.running.object_tables import make_object_tables
 from pipelines.running.shard_runner import load_shard_inputs, run_stage
 from pipelines.stages import STAGES
 from tables.identity import order_key, parse_scene_id, scenes_of_shard
-from tables.schemas import CANDIDATE_PAIRS
+from tables.schemas import CANDIDATE_PAIRS, OBJECT_TABLES
 from tables.store import read_sidecar, read_table
 
 

@@ -9,10 +9,8 @@ from pathlib import Path
 import pyarrow as pa
 
 from tables.columns import TableSchema
-from tables.schemas import ALL_SCHEMAS
+from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES
 from tables.store import read_table
-
-OBJECT_TABLES = ("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool")
 
 
 @dataclass(frozen=True, slots=True)

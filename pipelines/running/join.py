@@ -5,6 +5,7 @@ from __future__ import annotations
 import polars as pl
 import pyarrow as pa
 
+from pipelines.frames import frame_of
 from tables.columns import TableSchema
 from tables.schemas import CANDIDATES, GRASPS
 from tables.store import table_from_columns
@@ -13,9 +14,9 @@ from tables.store import table_from_columns
 def join_candidates(candidate_pairs: pa.Table, planning_labels: pa.Table, execution_labels: pa.Table) -> pa.Table:
     """Table `candidates`: every pair with its planning label, and its execution label or nulls where it was not planned."""
     frame = (
-        _frame(candidate_pairs)
-        .join(_frame(planning_labels), on="candidate_id", how="left", validate="1:1")
-        .join(_frame(execution_labels), on="candidate_id", how="left", validate="1:1")
+        frame_of(candidate_pairs)
+        .join(frame_of(planning_labels), on="candidate_id", how="left", validate="1:1")
+        .join(frame_of(execution_labels), on="candidate_id", how="left", validate="1:1")
     )
     return _table(CANDIDATES, frame)
 
@@ -23,18 +24,12 @@ def join_candidates(candidate_pairs: pa.Table, planning_labels: pa.Table, execut
 def join_grasps(grasp_admission: pa.Table, pick_lift: pa.Table, scenes: pa.Table, grasp_pool: pa.Table) -> pa.Table:
     """Table `grasps`: every pool grasp in every scene with its admission outcome, and its pick-lift outcome where it was tried."""
     frame = (
-        _frame(grasp_admission)
-        .join(_frame(scenes).select("scene_id", "object_id"), on="scene_id", how="left", validate="m:1")
-        .join(_frame(grasp_pool).select("object_id", "grasp_id", "grasp_kind"), on=["object_id", "grasp_id"], how="left", validate="m:1")
-        .join(_frame(pick_lift), on=["scene_id", "grasp_id"], how="left", validate="1:1")
+        frame_of(grasp_admission)
+        .join(frame_of(scenes).select("scene_id", "object_id"), on="scene_id", how="left", validate="m:1")
+        .join(frame_of(grasp_pool).select("object_id", "grasp_id", "grasp_kind"), on=["object_id", "grasp_id"], how="left", validate="m:1")
+        .join(frame_of(pick_lift), on=["scene_id", "grasp_id"], how="left", validate="1:1")
     )
     return _table(GRASPS, frame)
-
-
-def _frame(table: pa.Table) -> pl.DataFrame:
-    frame = pl.from_arrow(table)
-    assert isinstance(frame, pl.DataFrame)
-    return frame.with_columns(pl.col(pl.Categorical).cast(pl.String))
 
 
 def _table(schema: TableSchema, frame: pl.DataFrame) -> pa.Table:

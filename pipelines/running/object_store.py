@@ -14,8 +14,8 @@ from typing import Any
 import pyarrow as pa
 
 from objects.build import ObjectTables
-from pipelines.running.data_root import OBJECT_TABLES, DataRoot
-from tables.schemas import ALL_SCHEMAS, SCHEMA_VERSION
+from pipelines.running.data_root import DataRoot
+from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES, SCHEMA_VERSION
 from tables.store import Sidecar, StoreError, file_sha256, read_sidecar, read_table, sidecar_path, table_from_rows, write_table
 
 

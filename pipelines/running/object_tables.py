@@ -17,11 +17,11 @@ from objects.catalogue import PACKAGED_CATALOGUE, ObjectSpec, load_catalogue
 from objects.errors import ObjectError
 from objects.provenance import catalogue_sources, object_sources
 from pipelines.recipe import Recipe
-from pipelines.running.data_root import OBJECT_TABLES, DataRoot
+from pipelines.running.data_root import DataRoot
 from pipelines.running.object_store import ObjectStore, intact_sidecars
 from pipelines.running.workers import run_units
 from tables.columns import SchemaError
-from tables.schemas import ALL_SCHEMAS
+from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES
 from tables.store import Sidecar, join_tables, write_table
 
 

@@ -6,19 +6,22 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from importlib import metadata
 
 import pyarrow as pa
 
 from objects.catalogue import catalogue_order
 from objects.object_model import ObjectModel, object_models_from_tables
+from pipelines.codecs import known_in, rows_by_scene
 from pipelines.recipe import Recipe
-from pipelines.running.data_root import OBJECT_TABLES, DataRoot
+from pipelines.running.data_root import DataRoot
 from pipelines.running.unfinished import SceneCollector, SceneParts
 from pipelines.running.workers import run_units
-from pipelines.scenes.allocation import SceneAllocation, scene_allocation
-from pipelines.stages import Stage, rows_by_scene, units_of
+from pipelines.scenes.allocation import scene_allocation
+from pipelines.stage import Promise, Stage, Unit
+from pipelines.values import SceneAllocation
 from tables.identity import scenes_of_shard
-from tables.schemas import SCHEMA_VERSION, TIMINGS
+from tables.schemas import OBJECT_TABLES, SCHEMA_VERSION, TIMINGS
 from tables.store import (
     Sidecar,
     StoreError,
@@ -58,20 +61,25 @@ class StageReport:
 
 @dataclass(frozen=True, slots=True)
 class ShardInputs:
-    """What a stage reads besides the shard's own tables: recipe, objects, allocations of the shard's scenes, hash of the object tables."""
+    """What a stage reads besides the shard's own tables: recipe, objects and the hashes of their tables, allocations of the scenes."""
 
     recipe: Recipe
     object_models: Mapping[str, ObjectModel]
     allocations: Sequence[SceneAllocation]
-    objects_hash: str
+    object_hashes: Mapping[str, str]
+
+    @property
+    def promise(self) -> Promise:
+        """What the tables of the shard must hold."""
+        return self.recipe.promise(self.allocations)
 
 
 def load_shard_inputs(root: DataRoot, shard: str, recipe: Recipe) -> ShardInputs:
     """Inputs of a whole shard, with the objects that are published below `root`."""
     order = catalogue_order()
     allocations = [scene_allocation(scene_id, order) for scene_id in scenes_of_shard(shard)]
-    hashes = [read_sidecar(root.object_table(name)).content_hash for name in OBJECT_TABLES]
-    return ShardInputs(recipe, object_models_from_tables(**root.read_objects()), allocations, "-".join(h[:16] for h in hashes))
+    hashes = {name: read_sidecar(root.object_table(name)).content_hash for name in OBJECT_TABLES}
+    return ShardInputs(recipe, object_models_from_tables(**root.read_objects()), allocations, hashes)
 
 
 def run_stage(
@@ -99,13 +107,9 @@ def run_stage(
     if published is not None:
         parts.delete()
         return StageReport(published, is_reused=True)
-    upstream = rows_by_scene(root.read_shard(shard, stage.inputs), [allocation.scene_id for allocation in inputs.allocations])
+    upstream = root.read_shard(shard, stage.inputs)
     missing = [allocation for allocation in inputs.allocations if not parts.is_on_disk(allocation.scene_id)]
-    units = [
-        unit
-        for allocation in missing
-        for unit in units_of(stage, inputs.recipe, inputs.object_models[allocation.object_id], allocation, upstream[allocation.scene_id])
-    ]
+    units = units_of_shard(stage, inputs, upstream, missing)
     collector = SceneCollector(units, [allocation.scene_id for allocation in missing], parts)
     try:
         with closing(run_units(stage.run, [(unit,) for unit in units], n_workers)) as outcomes:
@@ -116,7 +120,7 @@ def run_stage(
             reasons = "\n".join(collector.failures[scene_id] for scene_id in sorted(collector.failures))
             n_failed, n_scenes = len(collector.failures), len(inputs.allocations)
             raise StageError(f"{shard}.{stage.name}: {n_failed} of {n_scenes} scenes failed, must be 0; the others are kept:\n{reasons}")
-        sidecars = _publish(stage, shard, root, inputs, parts, made_from)
+        sidecars = _publish(stage, shard, root, inputs, upstream, parts, made_from)
     except BaseException as why:
         # Whatever ended the stage early, an interrupt too: finished scenes are not made again.
         try:
@@ -125,6 +129,21 @@ def run_stage(
             why.add_note(f"and finished scenes of {shard}.{stage.name} could not be kept: {failure}")
         raise
     return StageReport(sidecars, False, len(units), time.perf_counter() - start, collector.core_ms / 1e3, collector.peak_gib)
+
+
+def units_of_shard(
+    stage: Stage, inputs: ShardInputs, upstream: Mapping[str, pa.Table], allocations: Sequence[SceneAllocation]
+) -> list[Unit]:
+    """The units of some scenes, scene by scene; what earlier stages found out is decoded here, once a scene."""
+    rows = rows_by_scene(upstream, [allocation.scene_id for allocation in allocations])
+    sections = inputs.recipe.sections(*stage.sections)
+    return [
+        unit
+        for allocation in allocations
+        for unit in stage.units(
+            inputs.object_models[allocation.object_id], allocation, known_in(rows[allocation.scene_id]), sections, inputs.recipe.seed
+        )
+    ]
 
 
 def is_published(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs) -> bool:
@@ -136,10 +155,18 @@ def is_published(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs) 
 
 
 def _made_from(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs) -> dict[str, str]:
-    """What identifies the inputs of a stage; equal inputs give equal tables, so a stored table with these is up to date."""
-    upstream = {f"table.{t.name}": read_sidecar(root.shard_table(shard, t.name)).content_hash for t in stage.inputs}
-    recipe = inputs.recipe.hash_of(*stage.recipe_sections) if stage.recipe_sections else inputs.recipe.hash_of("seed")
-    return {"stage": stage.name, "code": stage.code_version, "recipe": recipe, "objects": inputs.objects_hash, **upstream}
+    """What identifies the inputs of a stage; equal inputs give equal tables, so a stored table with these is up to date.
+
+    Versions of the engines belong to it: an upgrade is never silently mixed with older labels.
+    """
+    return {
+        "stage": stage.name,
+        "code": stage.code_version,
+        "recipe": inputs.recipe.hash_of_sections(*stage.sections),
+        **{f"object.{name}": inputs.object_hashes[name] for name in stage.objects},
+        **{f"table.{t.name}": read_sidecar(root.shard_table(shard, t.name)).content_hash for t in stage.inputs},
+        **{f"engine.{name}": metadata.version(name) for name in stage.engines},
+    }
 
 
 def _published(stage: Stage, shard: str, root: DataRoot, made_from: Mapping[str, str]) -> dict[str, Sidecar] | None:
@@ -156,11 +183,23 @@ def _published(stage: Stage, shard: str, root: DataRoot, made_from: Mapping[str,
 
 
 def _publish(
-    stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs, parts: SceneParts, made_from: Mapping[str, str]
+    stage: Stage,
+    shard: str,
+    root: DataRoot,
+    inputs: ShardInputs,
+    upstream: Mapping[str, pa.Table],
+    parts: SceneParts,
+    made_from: Mapping[str, str],
 ) -> dict[str, Sidecar]:
+    """Join the scenes, hold them against the stage's law, and write what is lawful: a published table always is."""
     scene_ids = [allocation.scene_id for allocation in inputs.allocations]
+    made = {schema.name: parts.joined(schema, scene_ids) for schema in stage.outputs}
+    errors = stage.law({**upstream, **made}, inputs.promise)
+    if errors:
+        parts.delete()
+        raise StageError(f"{shard}.{stage.name}: {len(errors)} laws broken, must be 0; nothing is published:\n" + "\n".join(errors))
     write_table(TIMINGS, parts.joined(TIMINGS, scene_ids), root.timings(shard, stage.name), made_from)
-    sidecars = {s.name: write_table(s, parts.joined(s, scene_ids), root.shard_table(shard, s.name), made_from) for s in stage.outputs}
+    sidecars = {s.name: write_table(s, made[s.name], root.shard_table(shard, s.name), made_from) for s in stage.outputs}
     parts.delete()
     return sidecars
 

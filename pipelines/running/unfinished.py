@@ -12,7 +12,7 @@ import pyarrow as pa
 from pipelines.codecs import Row
 from pipelines.running.data_root import DataRoot
 from pipelines.running.workers import Outcome
-from pipelines.stages import Stage, Unit, UnitResult
+from pipelines.stage import Stage, Unit, UnitResult
 from tables.columns import TableSchema
 from tables.schemas import TIMINGS
 from tables.store import join_tables, read_sidecar, read_table, sidecar_path, table_from_rows, write_table
@@ -97,8 +97,7 @@ class SceneCollector:
         if outcome.error is None:
             self._results[scene_id].append(outcome.value)
         else:
-            grasp = "" if unit.grasp_id is None else f"-g{unit.grasp_id:02d}"
-            self.failures.setdefault(scene_id, f"{scene_id}{grasp}: {outcome.error}")
+            self.failures.setdefault(scene_id, f"{unit.item_id}: {outcome.error}")
         if self._n_left[scene_id] == 0 and scene_id not in self.failures:
             self._parts.add(scene_id, self._results.pop(scene_id))
         self._parts.flush_if_due()

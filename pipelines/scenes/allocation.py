@@ -3,21 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
+from pipelines.values import SceneAllocation
 from tables.identity import n_scenes_of, parse_scene_id, scene_id_of
 
 N_OBSTACLE_COUNTS = 3
-
-
-@dataclass(frozen=True, slots=True)
-class SceneAllocation:
-    """What identity alone decides about a scene."""
-
-    scene_id: str
-    object_id: str
-    category: str
-    n_obstacles: int
 
 
 def scene_allocation(scene_id: str, objects: Sequence[tuple[str, str]]) -> SceneAllocation:

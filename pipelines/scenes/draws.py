@@ -18,7 +18,7 @@ from pipelines.engines.physics.world import PhysicsWorld
 from pipelines.scenes.reach import OpenHands
 from pipelines.scenes.tabletop import Polygon, beside, box_footprint, footprint, gap_m, is_in_sector, spot_in_sector, standing
 from pipelines.values import Obstacle
-from tables.identity import rng_for
+from tables.identity import N_TARGETS, rng_for
 from tables.poses import matrix_of, pose_of
 
 _T = TypeVar("_T")
@@ -28,7 +28,7 @@ _T = TypeVar("_T")
 class SceneSamplingParams:
     """Where things are put and when a draw is rejected. These are the knobs of task difficulty."""
 
-    n_targets: int = 8
+    n_targets: int = N_TARGETS
     # Where a Panda still reaches down with some freedom: nearer the elbow folds, further the wrist cannot tilt.
     radius_m: tuple[float, float] = (0.30, 0.70)
     angle_rad: tuple[float, float] = (-1.2217304763960306, 1.2217304763960306)  # +-70 degrees: the arm's front

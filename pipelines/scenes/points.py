@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from objects.object_model import ObjectModel
+from pipelines import laws
 from pipelines.codecs import Row
 from pipelines.pictures.renderer import Photograph, Renderer, View
 from pipelines.pictures.views import build_scene
+from pipelines.stage import Stage, Unit, UnitResult, timing_row
 from pipelines.values import Scene
 from tables.identity import rng_for
+from tables.schemas import OBSTACLES, SCENE_POINTS, SCENES, TARGETS
 from tables.vocabulary import PointType
 
 
@@ -83,3 +87,26 @@ def _points_of(photograph: Photograph, types: dict[int, PointType], kind: PointT
 def _some(rng: np.random.Generator, points: Float[np.ndarray, "n 3"], n: int) -> Float[np.ndarray, "m 3"]:
     """At most n points, drawn without replacement, in image order."""
     return points if len(points) <= n else points[np.sort(rng.choice(len(points), n, replace=False))]
+
+
+def run(unit: Unit) -> UnitResult:
+    """The typed cloud of one scene."""
+    start = time.process_time_ns()
+    rows = scene_point_rows(unit.object_model, unit.scene, unit.params(CameraParams), unit.seed)
+    return UnitResult({"scene_points": rows}, [timing_row("scene_points", unit.item_id, start)])
+
+
+STAGE = Stage(
+    name="scene_points",
+    group="scenes",
+    description="Renders two depth views of each initial scene and keeps a typed point cloud: environment, object, obstacle.",
+    code_version="1",
+    inputs=(SCENES, OBSTACLES, TARGETS),
+    objects=("object_meshes",),
+    outputs=(SCENE_POINTS,),
+    sections=(CameraParams,),
+    engines=("pybullet", "numpy"),
+    run=run,
+    law=laws.scene_points_law,
+    time_share=0.02,
+)

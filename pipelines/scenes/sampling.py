@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 from functools import partial
 
 from objects.object_model import ObjectModel
+from pipelines import laws
 from pipelines.codecs import Row, pose_row
 from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
 from pipelines.scenes.draws import Draws, Placed, SceneSamplingParams, draw_object, draw_obstacle, draw_target, is_relevant
 from pipelines.scenes.reach import OpenHands
+from pipelines.stage import Stage, Unit, UnitResult, timing_row
 from pipelines.values import Obstacle
 from tables.identity import parse_scene_id
 from tables.poses import pose_columns
+from tables.schemas import OBSTACLES, SCENE_ATTEMPTS, SCENES, TARGETS
 
 __all__ = ["SceneError", "SceneSamplingParams", "SceneTables", "sample_scene"]
 
@@ -120,3 +124,28 @@ def _attempt(draws: Draws, n_obstacles: int) -> tuple[Placed, list[Obstacle], li
             draws.reject(f"obstacle-{obstacle.obstacle_id}", draws.params.max_draws, "in nobody's way")
             return None
     return start, obstacles, targets
+
+
+def run(unit: Unit) -> UnitResult:
+    """The four tables of one scene."""
+    start = time.process_time_ns()
+    scene_id, n_obstacles = unit.allocation.scene_id, unit.allocation.n_obstacles
+    made = sample_scene(unit.object_model, scene_id, n_obstacles, unit.params(SceneSamplingParams), unit.params(PhysicsParams), unit.seed)
+    rows = {"scenes": made.scenes, "scene_attempts": made.scene_attempts, "obstacles": made.obstacles, "targets": made.targets}
+    return UnitResult(rows, [timing_row("scenes", scene_id, start)])
+
+
+STAGE = Stage(
+    name="scenes",
+    group="scenes",
+    description="Draws scenes: an object settled at a stable pose, box obstacles in the way, eight targets that hold the object at rest.",
+    code_version="2",
+    inputs=(),
+    objects=("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool"),
+    outputs=(SCENES, SCENE_ATTEMPTS, OBSTACLES, TARGETS),
+    sections=(SceneSamplingParams, PhysicsParams),
+    engines=("pybullet", "frankik", "numpy", "scipy"),
+    run=run,
+    law=laws.scenes_law,
+    time_share=0.05,
+)

@@ -6,6 +6,7 @@ import polars as pl
 import pyarrow as pa
 import pytest
 
+from pipelines.frames import frame_of
 from reports.load import Task, candidate_frame
 from reports.metrics import expected_random_success, group_ranks, success_at_k
 from reports.policies import (
@@ -23,7 +24,6 @@ from reports.policies import (
     with_predictions,
 )
 from reports.report import ReportError
-from splits.frames import frame_of
 
 
 @pytest.fixture(scope="module")

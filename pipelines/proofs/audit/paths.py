@@ -52,7 +52,7 @@ def recheck_path(
     Args:
         T_base_place: object pose at which the plan lets go.
     """
-    jaw_m = open_jaw_m(next(pool.jaw_width_m for pool in world.object_model.grasps if pool.grasp_id == grasp.grasp_id))
+    jaw_m = open_jaw_m(world.object_model.grasp(grasp.grasp_id).jaw_width_m)
     depth_m, deepest, clearance_m, n = -FAR_M, None, FAR_M, 0
     for phase in ("transport", "descend", "retreat"):
         q = executed_path(getattr(plan, f"{phase}_q_rad"), motion, stop_at_waypoints=phase == "transport", step_rad=step_rad)

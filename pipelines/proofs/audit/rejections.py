@@ -23,9 +23,8 @@ from pipelines.proofs.audit import numeric_ik
 from pipelines.proofs.audit.bullet_scene import FINGERS, LINKS, BulletScene, Pair, hand
 from pipelines.proofs.audit.params import AuditParams
 from pipelines.proofs.audit.paths import arm_pairs, object_pairs, self_pairs, standing_pairs
-from pipelines.values import LiftedGrasp
-from tables.identity import candidate_id_of, ompl_seed_for, rng_for
-from tables.poses import inverse
+from pipelines.values import Candidate
+from tables.identity import ompl_seed_for, rng_for
 from tables.vocabulary import PlanStatus
 
 HAND = ("hand", *FINGERS)
@@ -43,9 +42,7 @@ class Rejudgement:
     n_configurations: int
 
 
-def rejudge(
-    world: BulletScene, grasp: LiftedGrasp, target_id: int, planning: PlanningParams, params: AuditParams, seed: int
-) -> Rejudgement:
+def rejudge(world: BulletScene, candidate: Candidate, planning: PlanningParams, params: AuditParams, seed: int) -> Rejudgement:
     """Judge one candidate, tests in the order of PlanStatus; nothing about the stored verdict is known here.
 
     Args:
@@ -54,29 +51,25 @@ def rejudge(
         seed: the recipe seed.
     """
     before = world.n_checked
-    status = _SlowJudge(world, grasp, target_id, planning, params, seed).status()
+    status = _SlowJudge(world, candidate, planning, params, seed).status()
     return Rejudgement(status, world.n_checked - before)
 
 
 class _SlowJudge:
     """One candidate while it is being judged."""
 
-    def __init__(
-        self, world: BulletScene, grasp: LiftedGrasp, target_id: int, planning: PlanningParams, params: AuditParams, seed: int
-    ) -> None:
-        self.world, self.grasp, self.planning, self.params = world, grasp, planning, params
-        self.candidate_id, self.seed = candidate_id_of(world.scene.scene_id, target_id, grasp.grasp_id), seed
-        target = next(target for target in world.scene.targets if target.target_id == target_id)
-        self.T_base_object = target.T_base_target.copy()
-        self.T_base_object[2, 3] += planning.release_height_m
-        self.T_place = self.T_base_object @ inverse(grasp.T_tcp_object)
+    def __init__(self, world: BulletScene, candidate: Candidate, planning: PlanningParams, params: AuditParams, seed: int) -> None:
+        self.world, self.planning, self.params = world, planning, params
+        self.grasp, self.candidate_id, self.seed = candidate.grasp, candidate.candidate_id, seed
+        self.T_base_object = candidate.release_pose(planning.release_height_m)
+        self.T_place = candidate.place_pose(planning.release_height_m)
         self.T_preplace, self.T_retreat = self.T_place.copy(), self.T_place.copy()
         self.T_preplace[2, 3] += planning.preplace_m
         self.T_retreat[:3, 3] -= planning.retreat_m * self.T_place[:3, 2]
         self.furthest = PlanStatus.DESCEND_BLOCKED
         # As fast as the planner lets the joints move along a line, whatever the step.
         self.max_jump_rad = planning.max_joint_jump_rad * params.line_step_m / planning.line_step_m
-        jaw_m = open_jaw_m(next(pool.jaw_width_m for pool in world.object_model.grasps if pool.grasp_id == grasp.grasp_id))
+        jaw_m = open_jaw_m(world.object_model.grasp(self.grasp.grasp_id).jaw_width_m)
         self.open_m = np.array([jaw_m / 2, jaw_m / 2])
         # Hand, fingers and object are where the TCP is, whatever the arm does: they are judged once a line, the arm once a goal.
         clear = arm_pairs(world, CLEARANCE_M)

@@ -14,42 +14,38 @@ from pipelines.codecs import Row, pose_in
 from pipelines.engines.physics.rollout import Phase
 from pipelines.engines.physics.world import PhysicsWorld
 from pipelines.engines.robot.arm import fk, follow_line
-from pipelines.labels.execution import ExecutionParams, execute_candidate, execute_perturbed, execution_rows
+from pipelines.labels.execution import ExecutionParams, ExecutionSetup, execute_candidate, execute_perturbed, execution_rows
 from pipelines.pictures.filmstrip import render_execution_frames
 from pipelines.scenes.tabletop import standing
-from pipelines.values import Obstacle, Plan, Scene, Target
+from pipelines.values import Candidate, Obstacle, Plan, Scene, Target
 from tables import schemas
 from tables.store import table_from_rows
 from tables.vocabulary import Perturbation
 from tests.pipelines.engines.physics.lifted import MOTION, PHYSICS, Lifted, lifted
 
 PARAMS = ExecutionParams()
+SETUP = ExecutionSetup(PARAMS, MOTION, PHYSICS)
 
 
-def _rows(case: Lifted, params: ExecutionParams = PARAMS) -> list[Row]:
-    return [
-        row
-        for g in case.grasps
-        for row in execution_rows(case.object_model, case.scene, g, case.plans[g.grasp_id], params, MOTION, PHYSICS)
-    ]
+def _rows(case: Lifted) -> list[Row]:
+    return [row for grasp in case.grasps for row in execution_rows(case.object_model, case.of(grasp), SETUP)]
 
 
-def _moved(case: Lifted, target_id: int, T: np.ndarray) -> Scene:
-    """The scene with one target elsewhere: the plan now leads to the wrong place."""
-    targets = tuple(Target(t.target_id, 0, T) if t.target_id == target_id else t for t in case.scene.targets)
-    return dataclasses.replace(case.scene, targets=targets)
+def _moved(candidate: Candidate, T: np.ndarray) -> Candidate:
+    """The candidate with its target elsewhere: the plan now leads to the wrong place."""
+    return dataclasses.replace(candidate, target=Target(candidate.target.target_id, 0, T))
 
 
-def _run(case: Lifted, scene: Scene, target_id: int, plan: Plan, params: ExecutionParams = PARAMS) -> Row:
-    with PhysicsWorld(case.object_model, scene.obstacles, PHYSICS) as world:
-        return execute_candidate(world, scene, case.grasps[0], target_id, plan, params, MOTION)
+def _run(case: Lifted, candidate: Candidate, plan: Plan) -> Row:
+    with PhysicsWorld(case.object_model, candidate.scene.obstacles, PHYSICS) as world:
+        return execute_candidate(world, candidate, plan, SETUP)
 
 
 @pytest.mark.parametrize("name", ["can", "cuboid", "mug"])
 def test_rows_tell_one_story(name: str) -> None:
     case = lifted(name)
     rows = _rows(case)
-    assert len(rows) == sum(map(len, case.plans.values())) >= 4
+    assert len(rows) == len(case.planned) >= 4
     table_from_rows(schemas.EXECUTION_LABELS, rows)
     for row in rows:
         assert row["y_pipe"] == (row["exec_status"] == "success")
@@ -69,13 +65,11 @@ def test_rows_tell_one_story(name: str) -> None:
 @pytest.mark.parametrize("name", ["can", "mug"])
 def test_the_same_bits_in_any_order(name: str) -> None:
     case = lifted(name)
-    grasp = case.grasps[0]
-    plans = case.plans[grasp.grasp_id]
-    forwards = list(execution_rows(case.object_model, case.scene, grasp, plans, PARAMS, MOTION, PHYSICS))
+    planned = case.of(case.grasps[0])
+    forwards = list(execution_rows(case.object_model, planned, SETUP))
     with PhysicsWorld(case.object_model, case.scene.obstacles, PHYSICS) as world:
-        backwards = [execute_candidate(world, case.scene, grasp, t, plans[t], PARAMS, MOTION) for t in sorted(plans, reverse=True)]
-    last = max(plans)
-    alone = list(execution_rows(case.object_model, case.scene, grasp, {last: plans[last]}, PARAMS, MOTION, PHYSICS))
+        backwards = [execute_candidate(world, candidate, plan, SETUP) for candidate, plan in planned[::-1]]
+    alone = list(execution_rows(case.object_model, planned[-1:], SETUP))
     assert len(forwards) >= 3
     assert forwards == backwards[::-1]
     assert alone == forwards[-1:]
@@ -83,7 +77,7 @@ def test_the_same_bits_in_any_order(name: str) -> None:
 
 def test_the_same_bits_in_a_fresh_process() -> None:
     program = (
-        "import json; from tests.pipelines.test_execution_labels import _rows; from tests.pipelines.engines.physics.lifted import lifted;"
+        "import json; from tests.pipelines.labels.test_execution import _rows; from tests.pipelines.engines.physics.lifted import lifted;"
         "print('ROWS' + json.dumps([_rows(lifted(name)) for name in ('mug', 'can')]))"
     )
     fresh = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
@@ -92,11 +86,11 @@ def test_the_same_bits_in_a_fresh_process() -> None:
 
 def test_a_target_elsewhere_is_missed_by_as_much() -> None:
     case = lifted("cuboid")
-    target_id, plan = sorted(case.plans[case.grasps[0].grasp_id].items())[0]
-    T = case.scene.targets[target_id].T_base_target.copy()
-    before = _run(case, case.scene, target_id, plan)
+    candidate, plan = case.planned[0]
+    T = candidate.target.T_base_target.copy()
+    before = _run(case, candidate, plan)
     T[0, 3] += 0.03
-    row = _run(case, _moved(case, target_id, T), target_id, plan)
+    row = _run(case, _moved(candidate, T), plan)
     assert before["exec_status"] == "success"
     assert row["exec_status"] == "off_target"
     assert row["final_position_error_m"] == pytest.approx(0.03, abs=0.003)
@@ -104,17 +98,18 @@ def test_a_target_elsewhere_is_missed_by_as_much() -> None:
 
 def test_a_box_turned_by_half_is_where_it_should_be() -> None:
     case = lifted("cuboid")
-    target_id, plan = sorted(case.plans[case.grasps[0].grasp_id].items())[0]
-    T = case.scene.targets[target_id].T_base_target @ np.diag([-1.0, -1.0, 1.0, 1.0])
-    assert _run(case, _moved(case, target_id, T), target_id, plan)["exec_status"] == "success"
+    candidate, plan = case.planned[0]
+    T = candidate.target.T_base_target @ np.diag([-1.0, -1.0, 1.0, 1.0])
+    assert _run(case, _moved(candidate, T), plan)["exec_status"] == "success"
 
 
 def test_an_obstacle_in_the_way_is_a_collision() -> None:
     case = lifted("cuboid")
-    target_id, plan = sorted(case.plans[case.grasps[0].grasp_id].items())[0]
-    at = case.scene.targets[target_id].T_base_target
+    candidate, plan = case.planned[0]
+    at = candidate.target.T_base_target
     wall = Obstacle(0, standing(at[:2, 3], 0.0, 0.30), np.array([0.10, 0.08, 0.30]))
-    row = _run(case, dataclasses.replace(case.scene, obstacles=(wall,)), target_id, plan)
+    scene: Scene = dataclasses.replace(case.scene, obstacles=(wall,))
+    row = _run(case, dataclasses.replace(candidate, scene=scene), plan)
     assert row["exec_status"] in ("collided", "slipped_in_hand", "dropped_in_transport")
     assert not row["y_pipe"]
     assert row["transport_slip_m"] > 0.005
@@ -123,11 +118,9 @@ def test_an_obstacle_in_the_way_is_a_collision() -> None:
 def test_a_plan_into_the_air_topples_or_misses() -> None:
     """Let go 12 cm too high, the can falls; the label says so and the errors are measured after the fall."""
     case = lifted("can")
-    grasp = case.grasps[0]
-    plans = sorted(case.plans[grasp.grasp_id].items())
-    target_id, plan, back = next((t, p, back) for t, p in plans if (back := _back(p.descend_q_rad[0])) is not None)
-    high = Plan(plan.transport_q_rad, plan.descend_q_rad[:1], back)
-    row = _run(case, case.scene, target_id, high)
+    planned = case.of(case.grasps[0])
+    candidate, plan, back = next((c, p, back) for c, p in planned if (back := _back(p.descend_q_rad[0])) is not None)
+    row = _run(case, candidate, Plan(plan.transport_q_rad, plan.descend_q_rad[:1], back))
     assert row["release_position_error_m"] == pytest.approx(0.103, abs=0.01)
     assert pose_in(row, "final")[2, 3] < 0.08
     if not row["y_pipe"]:
@@ -145,9 +138,8 @@ def test_what_is_not_in_the_hand_is_dropped() -> None:
     case = lifted("can")
     grasp = dataclasses.replace(case.grasps[0], fingers_m=np.array([0.04, 0.04]), T_base_lifted=case.grasps[0].T_base_lifted.copy())
     grasp.T_base_lifted[:3, 3] += 0.045 * fk(grasp.lifted_q_rad)[:3, 2]
-    target_id, plan = sorted(case.plans[grasp.grasp_id].items())[0]
-    with PhysicsWorld(case.object_model, (), PHYSICS) as world:
-        row = execute_candidate(world, case.scene, grasp, target_id, plan, PARAMS, MOTION)
+    candidate, plan = case.planned[0]
+    row = _run(case, dataclasses.replace(candidate, grasp=grasp), plan)
     assert row["exec_status"] == "dropped_in_transport"
     assert row["release_position_error_m"] is None
     assert row["final_position_error_m"] > 0.05
@@ -157,10 +149,9 @@ def test_what_is_not_in_the_hand_is_dropped() -> None:
 @pytest.mark.parametrize("perturbation", list(Perturbation))
 def test_perturbations_change_what_they_say(perturbation: Perturbation) -> None:
     case = lifted("cuboid")
-    grasp = case.grasps[0]
-    target_id, plan = sorted(case.plans[grasp.grasp_id].items())[0]
-    stored = _run(case, case.scene, target_id, plan)
-    row = execute_perturbed(case.object_model, case.scene, grasp, target_id, plan, perturbation, PARAMS, MOTION, PHYSICS)
+    candidate, plan = case.planned[0]
+    stored = _run(case, candidate, plan)
+    row = execute_perturbed(case.object_model, candidate, plan, perturbation, SETUP)
     if perturbation is Perturbation.FRESH:
         assert row == stored
         return
@@ -177,12 +168,9 @@ def test_perturbations_change_what_they_say(perturbation: Perturbation) -> None:
 
 def test_a_film_shows_the_run_of_the_label() -> None:
     case = lifted("can")
-    grasp = case.grasps[0]
-    target_id, plan = sorted(case.plans[grasp.grasp_id].items())[0]
-    row, frames = render_execution_frames(
-        case.object_model, case.scene, grasp, target_id, plan, PARAMS, MOTION, PHYSICS, n_frames=4, size_px=(120, 90)
-    )
-    assert row == _run(case, case.scene, target_id, plan)
+    candidate, plan = case.planned[0]
+    row, frames = render_execution_frames(case.object_model, candidate, plan, SETUP, n_frames=4, size_px=(120, 90))
+    assert row == _run(case, candidate, plan)
     assert [frame.picture.shape for frame in frames] == [(90, 120, 3)] * 4
     assert frames[0].phase is Phase.HOLD
     assert frames[-1].phase is Phase.SETTLE

@@ -16,8 +16,8 @@ from pipelines.engines.planning.planner import SearchParams, path_samples
 from pipelines.engines.planning.trajectory import MotionParams, time_path
 from pipelines.engines.robot.arm import fk
 from pipelines.grasps.admission import AdmissionParams, admission_rows
-from pipelines.labels.planning import PlanningParams, planning_rows
-from pipelines.values import LiftedGrasp, Obstacle, Plan, Scene, Target
+from pipelines.labels.planning import PlanningParams, PlanningSetup, planning_rows
+from pipelines.values import Candidate, LiftedGrasp, Obstacle, Plan, Scene, Target
 from tables.schemas import PLANNING_LABELS, PLANS
 from tables.store import content_hash, table_from_rows
 from tests.builders import box_model, can_model, ideally_lifted, panda_scene, pose
@@ -34,11 +34,19 @@ class Problem:
 
     def rows(self, params: PlanningParams = PARAMS) -> tuple[list[Row], list[Row]]:
         model = CollisionModel(self.scene, self.object_model)
-        return joined([planning_rows(self.object_model, self.scene, g, range(8), params, MOTION, SEED, model) for g in self.grasps])
+        return joined([planning_rows(self.object_model, c, setup(params), model) for c in self.candidates])
+
+    @property
+    def candidates(self) -> list[Candidate]:
+        return [Candidate(self.scene, grasp, target) for grasp in self.grasps for target in self.scene.targets]
 
 
-def joined(pairs: list[tuple[list[Row], list[Row]]]) -> tuple[list[Row], list[Row]]:
-    return [row for labels, _ in pairs for row in labels], [row for _, plans in pairs for row in plans]
+def setup(params: PlanningParams = PARAMS) -> PlanningSetup:
+    return PlanningSetup(params, MOTION, SEED)
+
+
+def joined(pairs: list[tuple[Row, Row | None]]) -> tuple[list[Row], list[Row]]:
+    return [label for label, _ in pairs], [plan for _, plan in pairs if plan is not None]
 
 
 def hashes(rows: tuple[list[Row], list[Row]]) -> tuple[str, str]:
@@ -94,11 +102,10 @@ def test_rows_do_not_depend_on_order_or_company() -> None:
     p = problem("box")
     reference = hashes(p.rows())
     model = CollisionModel(p.scene, p.object_model)
-    pairs = [(grasp, target) for grasp in p.grasps for target in range(8)]
-    order = np.random.default_rng(1).permutation(len(pairs))
-    shuffled = [planning_rows(p.object_model, p.scene, pairs[k][0], [pairs[k][1]], PARAMS, MOTION, SEED, model) for k in order]
+    order = np.random.default_rng(1).permutation(len(p.candidates))
+    shuffled = [planning_rows(p.object_model, p.candidates[k], setup(), model) for k in order]
     assert hashes(joined(shuffled)) == reference
-    alone = [planning_rows(p.object_model, p.scene, grasp, [target], PARAMS, MOTION, SEED) for grasp, target in pairs]
+    alone = [planning_rows(p.object_model, candidate, setup()) for candidate in p.candidates]
     assert hashes(joined(alone)) == reference
 
 
@@ -135,7 +142,7 @@ def test_numbers_of_a_solved_candidate_are_those_of_its_plan() -> None:
 
 
 def judged(p: Problem, scene: Scene, grasp: LiftedGrasp, params: PlanningParams = PARAMS) -> Row:
-    return planning_rows(p.object_model, scene, grasp, [0], params, MOTION, SEED)[0][0]
+    return planning_rows(p.object_model, Candidate(scene, grasp, scene.target(0)), setup(params))[0]
 
 
 def easy() -> tuple[Problem, Scene, LiftedGrasp]:

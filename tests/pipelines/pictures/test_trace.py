@@ -11,20 +11,21 @@ from mcap.writer import Writer
 from pipelines.codecs import Row, pose_in
 from pipelines.engines.physics.rollout import Phase
 from pipelines.engines.physics.world import PhysicsWorld
-from pipelines.labels.execution import ExecutionParams, execute_candidate
+from pipelines.labels.execution import ExecutionParams, ExecutionSetup, execute_candidate
 from pipelines.pictures.trace import TraceError, TraceRecorder, read_trace
 from tests.pipelines.engines.physics.lifted import MOTION, PHYSICS, lifted
+
+SETUP = ExecutionSetup(ExecutionParams(), MOTION, PHYSICS)
 
 
 def _traced(path: Path) -> Row:
     case = lifted("cuboid")
-    grasp = case.grasps[0]
-    target_id, plan = sorted(case.plans[grasp.grasp_id].items())[0]
+    candidate, plan = case.planned[0]
     with (
         PhysicsWorld(case.object_model, (), PHYSICS) as world,
-        TraceRecorder(path, world, {"candidate_id": f"full-0000-t{target_id}"}) as trace,
+        TraceRecorder(path, world, {"candidate_id": candidate.candidate_id}) as trace,
     ):
-        return execute_candidate(world, case.scene, grasp, target_id, plan, ExecutionParams(), MOTION, trace.record)
+        return execute_candidate(world, candidate, plan, SETUP, trace.record)
 
 
 def test_a_trace_holds_the_execution(tmp_path: Path) -> None:
@@ -54,10 +55,8 @@ def test_equal_executions_give_equal_bytes_and_a_trace_changes_nothing(tmp_path:
     first, second = _traced(tmp_path / "a.mcap"), _traced(tmp_path / "b.mcap")
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
     case = lifted("cuboid")
-    grasp = case.grasps[0]
-    target_id, plan = sorted(case.plans[grasp.grasp_id].items())[0]
     with PhysicsWorld(case.object_model, (), PHYSICS) as world:
-        untraced = execute_candidate(world, case.scene, grasp, target_id, plan, ExecutionParams(), MOTION)
+        untraced = execute_candidate(world, *case.planned[0], SETUP)
     assert first == second == untraced
 
 

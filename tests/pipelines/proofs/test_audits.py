@@ -22,7 +22,7 @@ from pipelines.proofs.audit.paths import executed_path, recheck_path
 from pipelines.proofs.audit.rejections import rejudge
 from pipelines.proofs.audits import AuditError, AuditItem, audit_rows, audit_unit, choose_audited
 from pipelines.recipe import Recipe
-from pipelines.values import LiftedGrasp, Obstacle, Scene, Target
+from pipelines.values import Candidate, LiftedGrasp, Obstacle, Scene, Target
 from tables.schemas import AUDITS
 from tables.store import content_hash, table_from_rows
 from tables.vocabulary import Audit, PlanStatus
@@ -38,13 +38,24 @@ class Solved:
     """A solved candidate in a scene without obstacles, with target 0."""
 
     object_model: ObjectModel
-    scene: Scene
-    grasp: LiftedGrasp
+    candidate: Candidate
     judgement: Judgement
+
+    @property
+    def scene(self) -> Scene:
+        return self.candidate.scene
+
+    @property
+    def grasp(self) -> LiftedGrasp:
+        return self.candidate.grasp
+
+    def elsewhere(self, scene: Scene) -> Candidate:
+        """The candidate in another scene, whose target 0 is its target."""
+        return Candidate(scene, self.grasp, scene.target(0))
 
     def item(self, audit: Audit, status: PlanStatus, scene: Scene | None = None, recipe: Recipe = RECIPE) -> AuditItem:
         plan = self.judgement.plan if audit is Audit.PATH_GEOMETRY else None
-        return AuditItem(recipe, self.object_model, scene or self.scene, self.grasp, 0, status, plan, audit)
+        return AuditItem(recipe, self.object_model, self.elsewhere(scene or self.scene), status, plan, audit)
 
     def with_box(self, T: np.ndarray, size_m: tuple[float, float, float]) -> Scene:
         return dataclasses.replace(self.scene, obstacles=(Obstacle(0, T, np.array(size_m)),))
@@ -58,9 +69,10 @@ def solved(y_m: float = 0.25, axis: int = 1) -> Solved:
     for admitted in admitted_grasps(admission_rows(object_model, scene, AdmissionParams())):
         grasp = ideally_lifted(object_model, scene, admitted)
         approach = (scene.targets[0].T_base_target @ np.linalg.inv(grasp.T_tcp_object))[:3, 2]
-        judgement = judge_candidate(object_model, scene, grasp, 0, RECIPE.planning, RECIPE.seed, CollisionModel(scene, object_model))
+        candidate = Candidate(scene, grasp, scene.target(0))
+        judgement = judge_candidate(object_model, candidate, RECIPE.planning, RECIPE.seed, CollisionModel(scene, object_model))
         if judgement.plan is not None and approach[axis] > 0.9:
-            return Solved(object_model, scene, grasp, judgement)
+            return Solved(object_model, candidate, judgement)
     raise AssertionError("no grasp from that side is solved")
 
 
@@ -157,14 +169,17 @@ def test_true_rejections_hold_for_the_reason_that_is_the_reason() -> None:
         PlanStatus.START_COLLISION: s.with_box(pose(*T_lifted[:2, 3], T_lifted[2, 3] + 0.085), (0.02, 0.02, 0.06)),
     }
     for status, scene in scenes.items():
-        planned = judge_candidate(s.object_model, scene, s.grasp, 0, RECIPE.planning, RECIPE.seed, CollisionModel(scene, s.object_model))
+        planned = judge_candidate(s.object_model, s.elsewhere(scene), RECIPE.planning, RECIPE.seed, CollisionModel(scene, s.object_model))
         (row,) = audit_unit([s.item(Audit.REJECTION, status, scene)], QUICK)
         assert (planned.status, row["audited_status"], row["agrees"]) == (status, status.value, True)
     slid = s.grasp.T_tcp_object.copy()
     slid[1, 3] += 0.02
     grasp = dataclasses.replace(s.grasp, T_tcp_object=slid, T_base_lifted=fk(s.grasp.lifted_q_rad) @ slid)
     with BulletScene(s.scene, s.object_model, exact=True) as world:
-        assert rejudge(world, grasp, 0, RECIPE.planning, QUICK, RECIPE.seed).status is PlanStatus.RETREAT_BLOCKED
+        assert (
+            rejudge(world, dataclasses.replace(s.candidate, grasp=grasp), RECIPE.planning, QUICK, RECIPE.seed).status
+            is PlanStatus.RETREAT_BLOCKED
+        )
 
 
 def test_ten_times_the_budget_finds_what_a_tenth_missed() -> None:
@@ -174,7 +189,7 @@ def test_ten_times_the_budget_finds_what_a_tenth_missed() -> None:
 
     def row(max_checks: int) -> dict[str, object]:
         planning = dataclasses.replace(RECIPE.planning, search=SearchParams(max_checks=max_checks))
-        stored = judge_candidate(s.object_model, scene, s.grasp, 0, planning, RECIPE.seed, CollisionModel(scene, s.object_model))
+        stored = judge_candidate(s.object_model, s.elsewhere(scene), planning, RECIPE.seed, CollisionModel(scene, s.object_model))
         assert stored.status is PlanStatus.BUDGET_SPENT
         recipe = dataclasses.replace(RECIPE, planning=planning)
         return audit_unit([s.item(Audit.SEARCH_BUDGET, PlanStatus.BUDGET_SPENT, scene, recipe)], PARAMS)[0]
@@ -190,11 +205,9 @@ def test_rows_do_not_depend_on_order_company_or_workers() -> None:
     blocked = far.with_box(pose(0.5, 0.36, 0.06), (0.1, 0.1, 0.12))
     items = [
         near.item(Audit.PATH_GEOMETRY, PlanStatus.SOLVED),
-        dataclasses.replace(near.item(Audit.REJECTION, PlanStatus.NO_IK), scene=dataclasses.replace(near.scene, scene_id="full-0001")),
-        dataclasses.replace(far.item(Audit.PATH_GEOMETRY, PlanStatus.SOLVED), scene=dataclasses.replace(far.scene, scene_id="full-0002")),
-        dataclasses.replace(
-            far.item(Audit.REJECTION, PlanStatus.PLACE_COLLISION), scene=dataclasses.replace(blocked, scene_id="full-0003")
-        ),
+        near.item(Audit.REJECTION, PlanStatus.NO_IK, dataclasses.replace(near.scene, scene_id="full-0001")),
+        far.item(Audit.PATH_GEOMETRY, PlanStatus.SOLVED, dataclasses.replace(far.scene, scene_id="full-0002")),
+        far.item(Audit.REJECTION, PlanStatus.PLACE_COLLISION, dataclasses.replace(blocked, scene_id="full-0003")),
     ]
     reference = content_hash(table_from_rows(AUDITS, audit_rows(items, 0, QUICK)))
     assert content_hash(table_from_rows(AUDITS, audit_rows(items[::-1], 0, QUICK))) == reference

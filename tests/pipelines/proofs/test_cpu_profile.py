@@ -9,11 +9,10 @@ from pipelines.proofs.cpu_profile import largest_costs
 from pipelines.recipe import Recipe
 from pipelines.running.data_root import DataRoot
 from pipelines.running.shard_runner import ShardInputs
-from pipelines.scenes.allocation import SceneAllocation
-from pipelines.stages import Stage, Unit, UnitResult
+from pipelines.stage import Unit, UnitResult
+from pipelines.values import SceneAllocation
 from tables.identity import scenes_of_shard
-from tables.schemas import SPLITS
-from tests.builders import can_model
+from tests.builders import can_model, made_up_stage
 
 
 def _sleep_mostly(unit: Unit) -> UnitResult:
@@ -24,8 +23,8 @@ def _sleep_mostly(unit: Unit) -> UnitResult:
 def test_the_largest_cost_is_named_with_its_share(tmp_path: Path) -> None:
     object_model = can_model()
     allocations = [SceneAllocation(scene_id, object_model.object_id, "can", 0) for scene_id in scenes_of_shard("mini-000")]
-    inputs = ShardInputs(Recipe(), {object_model.object_id: object_model}, allocations, "objects")
-    stage = Stage("sleep", "1", (), (SPLITS,), ("camera",), _sleep_mostly)
+    inputs = ShardInputs(Recipe(), {object_model.object_id: object_model}, allocations, {})
+    stage = made_up_stage(_sleep_mostly)
     ((name, share),) = largest_costs(stage, "mini-000", DataRoot(tmp_path), inputs, n_units=4, n_costs=1)
     assert "sleep" in name
     assert 0.8 < share <= 1.0

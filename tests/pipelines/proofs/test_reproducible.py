@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
 from objects.build import build_object_models
 from objects.catalogue import catalogue_order, load_catalogue
-from pipelines.codecs import lifted_grasps, scenes_from_tables
+from pipelines.codecs import known_in, rows_by_scene
 from pipelines.proofs.regenerate import main, regenerate
 from pipelines.proofs.repeats import Repeat, attempt_rows
 from pipelines.recipe import load_recipe
@@ -17,9 +18,11 @@ from pipelines.running.shard_runner import ShardInputs, StageReport, run_stage
 from pipelines.scenes.allocation import scene_allocation
 from pipelines.stages import STAGES
 from tables import schemas as s
-from tables.identity import IdentityError
+from tables.identity import IdentityError, parse_candidate_id
+from tables.schemas import OBJECT_TABLES
 from tables.store import read_table
 from tables.vocabulary import Perturbation
+from tests.pipelines.proofs.golden_rows import GOLDEN, golden_rows, stale_versions
 
 SHARD = "mini-000"
 # A can, a mug and a cuboid; few grasps, so that the chain takes seconds.
@@ -27,38 +30,43 @@ SCENES = ("mini-0000", "mini-0004", "mini-0008")
 RECIPE = "[grasp_admission]\nquota = 3\n[camera]\n"
 
 
-@pytest.fixture(scope="module")
-def recipe_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("recipe") / "recipe.toml"
-    path.write_text(RECIPE)
-    return path
-
-
-@pytest.fixture(scope="module")
-def inputs(recipe_path: Path) -> ShardInputs:
+def small_inputs(recipe_path: Path) -> ShardInputs:
+    """The three scenes with their objects built anew; writes the recipe."""
+    recipe_path.write_text(RECIPE)
     recipe = load_recipe("mini", recipe_path)
     allocations = [scene_allocation(scene_id, catalogue_order()) for scene_id in SCENES]
     wanted = {allocation.object_id for allocation in allocations}
     object_models = build_object_models([spec for spec in load_catalogue() if spec.object_id in wanted], recipe.objects, recipe.seed)
-    return ShardInputs(recipe, object_models, allocations, "objects")
+    return ShardInputs(recipe, object_models, allocations, dict.fromkeys(OBJECT_TABLES, "made here"))
 
 
-def _run(root: DataRoot, inputs: ShardInputs, n_workers: int) -> dict[str, StageReport]:
+def run_chain(root: DataRoot, inputs: ShardInputs, n_workers: int) -> dict[str, StageReport]:
+    """Every stage on the three scenes."""
     return {stage.name: run_stage(stage, SHARD, root, inputs, n_workers) for stage in STAGES}
+
+
+@pytest.fixture(scope="module")
+def recipe_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("recipe") / "recipe.toml"
+
+
+@pytest.fixture(scope="module")
+def inputs(recipe_path: Path) -> ShardInputs:
+    return small_inputs(recipe_path)
 
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory, inputs: ShardInputs) -> tuple[DataRoot, dict[str, str]]:
     root = DataRoot(tmp_path_factory.mktemp("built"))
-    reports = _run(root, inputs, 1)
+    reports = run_chain(root, inputs, 1)
     return root, {name: sidecar.content_hash for report in reports.values() for name, sidecar in report.sidecars.items()}
 
 
 def test_two_workers_in_another_order_give_the_same_tables(
     tmp_path: Path, inputs: ShardInputs, built: tuple[DataRoot, dict[str, str]]
 ) -> None:
-    backwards = ShardInputs(inputs.recipe, inputs.object_models, inputs.allocations[::-1], inputs.objects_hash)
-    reports = _run(DataRoot(tmp_path), backwards, 2)
+    backwards = ShardInputs(inputs.recipe, inputs.object_models, inputs.allocations[::-1], inputs.object_hashes)
+    reports = run_chain(DataRoot(tmp_path), backwards, 2)
     assert {name: x.content_hash for report in reports.values() for name, x in report.sidecars.items()} == built[1]
 
 
@@ -85,19 +93,37 @@ def test_a_repeat_in_a_fresh_process_is_identical_and_a_perturbed_one_says_so(
     inputs: ShardInputs, built: tuple[DataRoot, dict[str, str]]
 ) -> None:
     root = built[0]
-    tables = root.read_shard(SHARD, [s.SCENES, s.OBSTACLES, s.TARGETS, s.PICK_LIFT, s.PLANNING_LABELS, s.EXECUTION_LABELS])
+    tables = root.read_shard(
+        SHARD, [s.SCENES, s.OBSTACLES, s.TARGETS, s.PICK_LIFT, s.CANDIDATE_PAIRS, s.PLANNING_LABELS, s.EXECUTION_LABELS]
+    )
     executed = {row["candidate_id"]: row for row in tables["execution_labels"].to_pylist()}
     planned = {row["candidate_id"]: row for row in tables["planning_labels"].to_pylist()}
     name = sorted(executed)[0]
-    scene = scenes_from_tables(tables["scenes"], tables["obstacles"], tables["targets"])[name[:9]]
-    lifted = lifted_grasps(row for row in tables["pick_lift"].to_pylist() if row["scene_id"] == scene.scene_id)
-    (grasp,) = (grasp for grasp in lifted if f"g{grasp.grasp_id:02d}" == name[-3:])
+    c = parse_candidate_id(name)
+    known = known_in(rows_by_scene(tables, [c.scene_id])[c.scene_id])
+    (candidate,) = (candidate for candidate in known.candidates if candidate.candidate_id == name)
     stored = planned[name] | executed[name]
     kinds = (Perturbation.FRESH, Perturbation.FINE_STEP)
-    repeats = [Repeat(inputs.recipe, inputs.object_models[scene.object_id], scene, grasp, int(name[11]), stored, kind, 0) for kind in kinds]
+    object_model = inputs.object_models[candidate.scene.object_id]
+    repeats = [Repeat(inputs.recipe, object_model, candidate, stored, kind, 0) for kind in kinds]
     rows = {row["perturbation"]: row for row in attempt_rows(repeats, 1)}
     assert rows[Perturbation.FRESH.value]["is_identical"]
     assert not rows[Perturbation.FINE_STEP.value]["is_identical"]
+
+
+def test_rows_that_changed_have_a_new_code_version(built: tuple[DataRoot, dict[str, str]]) -> None:
+    assert stale_versions(json.loads(GOLDEN.read_text()), golden_rows(built[0], SHARD)) == []
+
+
+def test_a_changed_row_and_a_version_without_rows_are_noticed(built: tuple[DataRoot, dict[str, str]]) -> None:
+    fresh = golden_rows(built[0], SHARD)
+    golden = json.loads(json.dumps(fresh))
+    assert stale_versions(golden, fresh) == []
+    golden["execution_labels"]["rows"]["execution_labels"][0]["exec_status"] = "collided"
+    golden["pick_lift"]["code_version"] = "0"
+    rows, version = sorted(stale_versions(golden, fresh))
+    assert rows.startswith("execution_labels: rows of ['execution_labels'] changed, code version is still")
+    assert version.startswith("pick_lift: code version")
 
 
 def test_ids_that_do_not_exist_are_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,10 +20,10 @@ from objects.errors import CatalogueError, ObjectError
 from objects.grasp_pool import GraspPoolParams
 from pipelines.recipe import Recipe
 from pipelines.running import object_store, object_tables
-from pipelines.running.data_root import OBJECT_TABLES, DataRoot
+from pipelines.running.data_root import DataRoot
 from pipelines.running.object_tables import ObjectTablesError, make_object_tables
 from pipelines.scenes.points import CameraParams
-from tables.schemas import ALL_SCHEMAS
+from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES
 from tables.store import Sidecar, StoreError, read_table, sidecar_path
 from tests.objects.test_catalogue import BOX, CAN, write
 

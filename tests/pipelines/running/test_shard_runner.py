@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import signal
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -14,12 +15,12 @@ from pipelines.recipe import Recipe
 from pipelines.running import shard_runner, unfinished
 from pipelines.running.data_root import DataRoot
 from pipelines.running.shard_runner import Progress, ShardInputs, StageError, is_published, run_stage
-from pipelines.scenes.allocation import SceneAllocation
-from pipelines.stages import Stage, Unit, UnitResult
+from pipelines.stage import Stage, Unit, UnitResult
+from pipelines.values import SceneAllocation
 from tables.identity import rng_for, scenes_of_shard
-from tables.schemas import SPLITS, TIMINGS
+from tables.schemas import TIMINGS
 from tables.store import read_table
-from tests.builders import can_model
+from tests.builders import can_model, made_up_stage
 
 SHARD = "mini-000"
 SCENES = scenes_of_shard(SHARD)
@@ -27,7 +28,7 @@ SCENES = scenes_of_shard(SHARD)
 
 def _draw(unit: Unit) -> UnitResult:
     scene_id = unit.allocation.scene_id
-    name = ["train", "validation", "test"][int(rng_for(unit.recipe.seed, "draw", scene_id).integers(3))]
+    name = ["train", "validation", "test"][int(rng_for(unit.seed, "draw", scene_id).integers(3))]
     rows = {"splits": [{"scene_id": scene_id, "split": name}]}
     return UnitResult(rows, [{"stage": "draw", "item_id": scene_id, "core_ms": 1.0}])
 
@@ -40,20 +41,20 @@ def _draw_but_crash(unit: Unit) -> UnitResult:
     return _draw(unit)
 
 
-def _stage(run=_draw, version: str = "1") -> Stage:
-    return Stage("draw", version, (), (SPLITS,), ("camera",), run)
+def _stage(run=_draw, version: str = "1", law=lambda tables, promise: []) -> Stage:
+    return made_up_stage(run, version, law)
 
 
 @pytest.fixture
 def inputs() -> ShardInputs:
     object_model: ObjectModel = can_model()
     allocations = [SceneAllocation(scene_id, object_model.object_id, "can", 0) for scene_id in SCENES]
-    return ShardInputs(Recipe(), {object_model.object_id: object_model}, allocations, "objects")
+    return ShardInputs(Recipe(), {object_model.object_id: object_model}, allocations, {})
 
 
 def test_table_is_the_same_for_any_number_of_workers_and_any_order(tmp_path: Path, inputs: ShardInputs) -> None:
     shuffled = ShardInputs(
-        inputs.recipe, inputs.object_models, random.Random(1).sample(inputs.allocations, len(inputs.allocations)), inputs.objects_hash
+        inputs.recipe, inputs.object_models, random.Random(1).sample(inputs.allocations, len(inputs.allocations)), inputs.object_hashes
     )
     runs = ((0, inputs), (1, inputs), (2, inputs), (2, shuffled))
     hashes = {
@@ -68,8 +69,18 @@ def test_an_unchanged_stage_is_reused_and_a_changed_one_is_not(tmp_path: Path, i
     assert run_stage(_stage(), SHARD, root, inputs, 0).is_reused
     assert not is_published(_stage(version="2"), SHARD, root, inputs)
     assert not run_stage(_stage(version="2"), SHARD, root, inputs, 0).is_reused
-    changed = ShardInputs(Recipe(seed=1), inputs.object_models, inputs.allocations, inputs.objects_hash)
+    changed = ShardInputs(Recipe(seed=1), inputs.object_models, inputs.allocations, inputs.object_hashes)
     assert not run_stage(_stage(version="2"), SHARD, root, changed, 0).is_reused
+
+
+def test_tables_of_another_engine_version_are_not_reused(tmp_path: Path, inputs: ShardInputs, monkeypatch: pytest.MonkeyPatch) -> None:
+    root, stage = DataRoot(tmp_path), made_up_stage(_draw, engines=("numpy", "ompl"))
+    made = run_stage(stage, SHARD, root, inputs, 0)
+    assert made.sidecars["splits"].made_from["engine.numpy"] == metadata.version("numpy")
+    assert run_stage(stage, SHARD, root, inputs, 0).is_reused
+    real = metadata.version
+    monkeypatch.setattr(shard_runner.metadata, "version", lambda name: "99.0" if name == "ompl" else real(name))
+    assert not is_published(stage, SHARD, root, inputs)
 
 
 def test_a_damaged_table_is_made_again(tmp_path: Path, inputs: ShardInputs) -> None:
@@ -93,13 +104,13 @@ def test_a_crash_fails_its_scene_with_its_id_and_keeps_the_others(
     assert not root.shard_table(SHARD, "splits").exists()
 
     made = []
-    real = shard_runner.units_of
+    real = shard_runner.units_of_shard
 
-    def noted(stage, recipe, object_model, allocation, rows):
-        made.append(allocation.scene_id)
-        return real(stage, recipe, object_model, allocation, rows)
+    def noted(stage, inputs, upstream, allocations):
+        made.extend(allocation.scene_id for allocation in allocations)
+        return real(stage, inputs, upstream, allocations)
 
-    monkeypatch.setattr(shard_runner, "units_of", noted)
+    monkeypatch.setattr(shard_runner, "units_of_shard", noted)
     resumed = run_stage(_stage(), SHARD, root, inputs, 0)
     assert sorted(made) == [SCENES[4], SCENES[7]]
     whole = run_stage(_stage(), SHARD, DataRoot(tmp_path / "whole"), inputs, 0)
@@ -156,3 +167,21 @@ def test_progress_counts_every_unit(tmp_path: Path, inputs: ShardInputs) -> None
     run_stage(_stage(), SHARD, DataRoot(tmp_path), inputs, 0, seen.append)
     assert [p.done for p in seen] == list(range(1, 13))
     assert {p.total for p in seen} == {12}
+
+
+def test_an_unlawful_table_is_not_published_and_its_scenes_are_made_again(tmp_path: Path, inputs: ShardInputs) -> None:
+    root, rows = DataRoot(tmp_path), []
+    with pytest.raises(StageError, match="1 laws broken, must be 0; nothing is published:\nsplits have no test") as failure:
+        run_stage(_stage(law=lambda tables, promise: ["splits have no test"]), SHARD, root, inputs, 0)
+    assert SHARD in str(failure.value)
+    assert not root.shard_table(SHARD, "splits").exists()
+    assert not is_published(_stage(), SHARD, root, inputs)
+
+    def law(tables, promise):
+        rows.append((tables["splits"].num_rows, len(promise.allocations)))
+        return []
+
+    done: list[int] = []
+    run_stage(_stage(law=law), SHARD, root, inputs, 0, lambda p: done.append(p.total))
+    assert rows == [(len(SCENES), len(SCENES))]
+    assert done == [len(SCENES)] * len(SCENES)

@@ -13,10 +13,9 @@ from pipelines.engines.physics.world import PhysicsParams
 from pipelines.engines.planning.trajectory import MotionParams
 from pipelines.grasps.admission import AdmissionParams, admission_rows
 from pipelines.grasps.pick_lift import PickLiftParams, pick_lift_rows
-from pipelines.labels.planning import PlanningParams, planning_rows
+from pipelines.labels.planning import PlanningParams, PlanningSetup, planning_rows
 from pipelines.scenes.tabletop import standing
-from pipelines.values import LiftedGrasp, Obstacle, Plan, Scene, Target
-from tables.identity import parse_candidate_id
+from pipelines.values import Candidate, LiftedGrasp, Obstacle, Plan, Scene, Target
 from tests.pipelines.engines.physics.object_models import can_model, cuboid_model, mug_model
 
 PHYSICS, MOTION = PhysicsParams(), MotionParams()
@@ -32,7 +31,11 @@ class Lifted:
     scene: Scene
     lift_rows: tuple[Row, ...]
     grasps: tuple[LiftedGrasp, ...]
-    plans: dict[int, dict[int, Plan]]
+    planned: tuple[tuple[Candidate, Plan], ...]
+
+    def of(self, grasp: LiftedGrasp) -> list[tuple[Candidate, Plan]]:
+        """The planned candidates of a grasp, in target order."""
+        return [(candidate, plan) for candidate, plan in self.planned if candidate.grasp.grasp_id == grasp.grasp_id]
 
 
 def scene_of(object_model: ObjectModel, obstacles: tuple[Obstacle, ...] = ()) -> Scene:
@@ -50,8 +53,8 @@ def lifted(name: str, n_grasps: int = 2) -> Lifted:
     admitted = admitted_grasps(admission_rows(object_model, scene, AdmissionParams(quota=n_grasps)))
     rows = pick_lift_rows(object_model, scene, admitted, PickLiftParams(), MOTION, PHYSICS)
     grasps = lifted_grasps(rows)
-    plans = {}
-    for grasp in grasps:
-        _, found = planning_rows(object_model, scene, grasp, range(len(scene.targets)), PlanningParams(), MOTION, 42)
-        plans[grasp.grasp_id] = {parse_candidate_id(row["candidate_id"]).target_id: plan_in(row) for row in found}
-    return Lifted(object_model, scene, tuple(rows), grasps, plans)
+    candidates = [Candidate(scene, grasp, target) for grasp in grasps for target in scene.targets]
+    setup = PlanningSetup(PlanningParams(), MOTION, 42)
+    found = [(candidate, planning_rows(object_model, candidate, setup)[1]) for candidate in candidates]
+    planned = tuple((candidate, plan_in(row)) for candidate, row in found if row is not None)
+    return Lifted(object_model, scene, tuple(rows), grasps, planned)

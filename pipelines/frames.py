@@ -16,3 +16,8 @@ def frame_of(table: pa.Table, columns: Sequence[str] | None = None) -> pl.DataFr
     frame = pl.from_arrow(table if columns is None else table.select(list(columns)))
     assert isinstance(frame, pl.DataFrame)
     return frame.with_columns(pl.col(pl.Categorical).cast(pl.String))
+
+
+def scene_id_of_item(column: str) -> pl.Expr:
+    """The scene id that the ids in a column begin with: of scenes, scenes and grasps, or candidates."""
+    return pl.col(column).str.extract(r"^((?:mini|full)-\d{4})").alias("scene_id")

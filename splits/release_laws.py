@@ -1,0 +1,66 @@
+"""The laws of the chain over a whole release: `candidates` and `grasps` are taken apart into the tables that the stages made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from pipelines.frames import frame_of
+from pipelines.stage import Promise
+from pipelines.stages import STAGES
+from pipelines.values import SceneAllocation
+from tables.columns import TableSchema
+from tables.identity import N_TARGETS
+from tables.schemas import CANDIDATE_PAIRS, EXECUTION_LABELS, GRASP_ADMISSION, PICK_LIFT, PLANNING_LABELS
+from tables.store import table_from_columns
+
+# Which rows of a joined table a stage made: those where this column is not null, or all.
+_PARTS: Sequence[tuple[str, TableSchema, str | None]] = (
+    ("grasps", GRASP_ADMISSION, None),
+    ("grasps", PICK_LIFT, "lift_status"),
+    ("candidates", CANDIDATE_PAIRS, None),
+    ("candidates", PLANNING_LABELS, None),
+    ("candidates", EXECUTION_LABELS, "exec_status"),
+)
+# What a release may leave out; the laws then say less.
+_LEFT_OUT = {"plans", "scene_attempts"}
+_EXECUTION_VALUES = [name for name in EXECUTION_LABELS.names if name != "candidate_id"]
+
+
+def broken_laws(tables: Mapping[str, pa.Table], *, position_tolerance_m: float, rotation_tolerance_rad: float) -> list[str]:
+    """One sentence for every broken rule; laws about tables that a release leaves out are not asked.
+
+    Args:
+        tables: of a release by name, at least `scenes`, `obstacles`, `targets`, `grasps` and `candidates`. What each scene was
+            allocated is taken from `scenes` and the object's category there.
+        position_tolerance_m: position error at which a placement stops being valid.
+        rotation_tolerance_rad: rotation error at which a placement stops being valid.
+    """
+    parts = {**tables, **{schema.name: _part(tables[joined], schema, where) for joined, schema, where in _PARTS}}
+    allocations = tuple(
+        SceneAllocation(*row) for row in frame_of(tables["scenes"], ["scene_id", "object_id", "category", "n_obstacles"]).iter_rows()
+    )
+    promise = Promise(allocations, N_TARGETS, position_tolerance_m, rotation_tolerance_rad)
+    errors = _half_executed(tables["candidates"])
+    for stage in STAGES:
+        reads = {schema.name for schema in (*stage.inputs, *stage.outputs)}
+        if reads - _LEFT_OUT <= parts.keys():
+            errors += [f"{stage.name}: {error}" for error in stage.law(parts, promise)]
+    return errors
+
+
+def _part(joined: pa.Table, schema: TableSchema, where: str | None) -> pa.Table:
+    rows = joined if where is None else joined.filter(pc.is_valid(joined[where]))
+    return table_from_columns(schema, {name: rows[name] for name in schema.names})
+
+
+def _half_executed(candidates: pa.Table) -> list[str]:
+    """Values of an execution without its status would be lost where the joined table is taken apart."""
+    without = candidates.filter(pc.is_null(candidates["exec_status"]))
+    return [
+        f"execution_labels: {name} is null where exec_status is; broken by {len(bad)} rows, must be 0; first {bad['candidate_id'][0]}"
+        for name in _EXECUTION_VALUES
+        if name != "exec_status" and len(bad := without.filter(pc.is_valid(without[name])))
+    ]
