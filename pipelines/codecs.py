@@ -74,12 +74,12 @@ def candidates_in(pair_rows: Iterable[Row], scene: Scene, lifted: Iterable[Lifte
 
 def plan_in(row: Mapping[str, Any]) -> Plan:
     """The plan in a row of `plans`."""
-    return Plan(*(np.array(row[f"{part}_q_rad"]).reshape(-1, 7) for part in ("transport", "descend", "retreat")))
+    return Plan(joints_in(row, "place_q"), np.array(row["via_q_rad"], dtype=np.float64).reshape(-1, 7))
 
 
 def plan_columns(plan: Plan) -> Row:
     """Columns of `plans` but the candidate id."""
-    return {f"{part}_q_rad": getattr(plan, f"{part}_q_rad").ravel().tolist() for part in ("transport", "descend", "retreat")}
+    return {**joints_row("place_q", plan.place_q_rad), "via_q_rad": plan.via_q_rad.ravel().tolist()}
 
 
 def pose_in(row: Mapping[str, Any], prefix: str) -> Float[np.ndarray, "4 4"]:

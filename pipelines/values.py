@@ -82,7 +82,15 @@ class LiftedGrasp:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Joint waypoints of a solved candidate: post-lift to pre-place, to place, and back to the retreat pose."""
+    """What is stored of a solved candidate: where the hand lets go, and the waypoints of the transport between lift and pre-place."""
+
+    place_q_rad: Float[np.ndarray, "7"]
+    via_q_rad: Float[np.ndarray, "k 7"]
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Joint waypoints of a placement: post-lift to pre-place, to place, and back to the retreat pose."""
 
     transport_q_rad: Float[np.ndarray, "a 7"]
     descend_q_rad: Float[np.ndarray, "b 7"]

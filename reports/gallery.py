@@ -19,6 +19,7 @@ from pipelines.codecs import Row, pose_in
 from pipelines.decoded import Decoded
 from pipelines.engines.robot.geometry import moved
 from pipelines.frames import frame_of
+from pipelines.labels.planning import motion_of
 from pipelines.pictures.filmstrip import render_execution_frames
 from pipelines.pictures.renderer import Renderer, View
 from pipelines.pictures.views import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, render_scene, shrunk
@@ -198,7 +199,12 @@ def _film(release: Decoded, candidate_id: str, recipe: Recipe) -> list[_Tile]:
     if plan is None:
         raise ReportError(f"{candidate_id}: was executed, but has no row in plans")
     _, frames = render_execution_frames(
-        release.object_model_of(candidate), candidate, plan, recipe.execution_setup, n_frames=_N_FRAMES, size_px=_FRAME_PX
+        release.object_model_of(candidate),
+        candidate,
+        motion_of(candidate, plan, recipe.planning),
+        recipe.execution_setup,
+        n_frames=_N_FRAMES,
+        size_px=_FRAME_PX,
     )
     tiles = [_Tile(frame.picture, f"{frame.phase.value} {frame.time_s:.2f} s") for frame in frames]
     return [_Tile(tiles[0].picture, f"{candidate_id} {tiles[0].caption}"), *tiles[1:]]

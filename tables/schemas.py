@@ -118,8 +118,8 @@ _PLANNING = (
 PLANNING_LABELS = TableSchema("planning_labels", "planning outcome of every candidate", ("candidate_id",), (_CANDIDATE_ID, *_PLANNING))
 
 PLANS = TableSchema("plans", "what is needed to rebuild the motion of a solved candidate exactly", ("candidate_id",), (
-    _CANDIDATE_ID, reals("transport_q_rad", "waypoints from post-lift to pre-place, 7 values each, flat", "rad"),
-    reals("descend_q_rad", "waypoints from pre-place to place, 7 values each, flat", "rad"), reals("retreat_q_rad", "waypoints from place to the retreat pose, 7 values each, flat", "rad"),
+    _CANDIDATE_ID, *joints("place_q", "arm where the hand lets go; descend and retreat are the straight lines through it at this joint 7"),
+    reals("via_q_rad", "waypoints of the transport between post-lift and pre-place, 7 values each, flat; mostly none: it is straight in joint space", "rad"),
 ))
 
 POLICY_FEATURES = TableSchema("policy_features", "what the endpoint baselines know about a candidate", ("candidate_id",), (

@@ -18,8 +18,9 @@ from pipelines.codecs import Row, pose_row
 from pipelines.engines.physics.rollout import Phase, RestWatch, Watch, hold, move, open_fingers, pose_difference, settle
 from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
 from pipelines.engines.planning.trajectory import MotionParams, time_path
+from pipelines.labels.planning import PlanningParams, motion_of
 from pipelines.stage import Stage, Unit, UnitResult, timing_row
-from pipelines.values import Candidate, LiftedGrasp, Plan
+from pipelines.values import Candidate, LiftedGrasp, Motion
 from tables.schemas import CANDIDATE_PAIRS, EXECUTION_LABELS, OBSTACLES, PICK_LIFT, PLANNING_LABELS, PLANS, SCENES, TARGETS
 from tables.vocabulary import ExecStatus, Perturbation, Symmetry
 
@@ -62,7 +63,7 @@ class ExecutionSetup:
     physics: PhysicsParams
 
 
-def execution_rows(object_model: ObjectModel, planned: Sequence[tuple[Candidate, Plan]], setup: ExecutionSetup) -> Iterator[Row]:
+def execution_rows(object_model: ObjectModel, planned: Sequence[tuple[Candidate, Motion]], setup: ExecutionSetup) -> Iterator[Row]:
     """Rows of `execution_labels` of one grasp, one a planned candidate, as they finish.
 
     They share an engine, which takes 10 ms to start, and no state: the world is built anew for each.
@@ -76,12 +77,12 @@ def execution_rows(object_model: ObjectModel, planned: Sequence[tuple[Candidate,
     if not planned:
         return
     with PhysicsWorld(object_model, planned[0][0].scene.obstacles, setup.physics) as world:
-        for candidate, plan in planned:
-            yield execute_candidate(world, candidate, plan, setup)
+        for candidate, motion in planned:
+            yield execute_candidate(world, candidate, motion, setup)
 
 
 def execute_perturbed(
-    object_model: ObjectModel, candidate: Candidate, plan: Plan, perturbation: Perturbation, setup: ExecutionSetup
+    object_model: ObjectModel, candidate: Candidate, motion: Motion, perturbation: Perturbation, setup: ExecutionSetup
 ) -> Row:
     """The row of one candidate under a change that ought not to matter: longer hold, finer steps, other friction, or none."""
     params, physics = setup.execution, setup.physics
@@ -93,10 +94,10 @@ def execute_perturbed(
         physics = dataclasses.replace(physics, dt_s=physics.dt_s / 2, check_every_steps=2 * physics.check_every_steps)
         params = dataclasses.replace(params, max_settle_steps=2 * params.max_settle_steps)
     with PhysicsWorld(object_model, candidate.scene.obstacles, physics, friction_scale) as world:
-        return execute_candidate(world, candidate, plan, ExecutionSetup(params, setup.motion, physics))
+        return execute_candidate(world, candidate, motion, ExecutionSetup(params, setup.motion, physics))
 
 
-def execute_candidate(world: PhysicsWorld, candidate: Candidate, plan: Plan, setup: ExecutionSetup, watch: Watch | None = None) -> Row:
+def execute_candidate(world: PhysicsWorld, candidate: Candidate, motion: Motion, setup: ExecutionSetup, watch: Watch | None = None) -> Row:
     """The row of one candidate, run in `world` from the post-lift state.
 
     Args:
@@ -105,9 +106,9 @@ def execute_candidate(world: PhysicsWorld, candidate: Candidate, plan: Plan, set
     grasp, params = candidate.grasp, setup.execution
     monitor = _Monitor(world, grasp.T_tcp_object, params, watch)
     _start(world, candidate)
-    is_held = _carry(world, plan, setup, monitor)
+    is_held = _carry(world, motion, setup, monitor)
     T_release = world.object_pose()
-    drag_m = _let_go(world, grasp, plan, setup, monitor) if is_held else None
+    drag_m = _let_go(world, grasp, motion, setup, monitor) if is_held else None
     # From here on the arm touches nothing, or the object has left the hand: alone it settles at a tenth of the cost.
     world.remove_robot()
     is_settled = settle(world, params.max_settle_steps, monitor.film)
@@ -143,10 +144,10 @@ def _start(world: PhysicsWorld, candidate: Candidate) -> None:
     world.grip()
 
 
-def _carry(world: PhysicsWorld, plan: Plan, setup: ExecutionSetup, monitor: _Monitor) -> bool:
+def _carry(world: PhysicsWorld, motion: Motion, setup: ExecutionSetup, monitor: _Monitor) -> bool:
     """Hold, transport and descend; False where the object was dropped on the way."""
-    transport = time_path(plan.transport_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=True)
-    descend = time_path(plan.descend_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=False)
+    transport = time_path(motion.transport_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=True)
+    descend = time_path(motion.descend_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=False)
     return (
         hold(world, Phase.HOLD, setup.execution.hold_s, monitor.carried)
         and move(world, Phase.TRANSPORT, transport, monitor.carried)
@@ -154,13 +155,13 @@ def _carry(world: PhysicsWorld, plan: Plan, setup: ExecutionSetup, monitor: _Mon
     )
 
 
-def _let_go(world: PhysicsWorld, grasp: LiftedGrasp, plan: Plan, setup: ExecutionSetup, monitor: _Monitor) -> float:
+def _let_go(world: PhysicsWorld, grasp: LiftedGrasp, motion: Motion, setup: ExecutionSetup, monitor: _Monitor) -> float:
     """Open and retreat; returns how far the object moved during the retreat, in metres."""
     width_m = world.object_model.grasp(grasp.grasp_id).jaw_width_m
     open_fingers(world, open_jaw_m(width_m), setup.execution.max_open_s, monitor.released)
     hold(world, Phase.OPEN, setup.execution.release_wait_s, monitor.released)
     T_opened = world.object_pose()
-    retreat = time_path(plan.retreat_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=False)
+    retreat = time_path(motion.retreat_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=False)
     monitor.rest = RestWatch(world)
     move(world, Phase.RETREAT, retreat, monitor.released)
     return pose_difference(T_opened, world.object_pose())[0]
@@ -260,8 +261,9 @@ def _tilt_rad(object_model: ObjectModel, T_a: Float[np.ndarray, "4 4"], T_b: Flo
 def run(unit: Unit) -> UnitResult:
     """The planned candidates of one lifted grasp."""
     setup = ExecutionSetup(unit.params(ExecutionParams), unit.params(MotionParams), unit.params(PhysicsParams))
-    planned = [(c, unit.known.plans[c.candidate_id]) for c in unit.known.candidates if c.candidate_id in unit.known.plans]
     rows, timings, start = [], [], time.process_time_ns()
+    planning, plans = unit.params(PlanningParams), unit.known.plans
+    planned = [(c, motion_of(c, plans[c.candidate_id], planning)) for c in unit.known.candidates if c.candidate_id in plans]
     for row in execution_rows(unit.object_model, planned, setup):
         rows.append(row)
         timings.append(timing_row("execution_labels", row["candidate_id"], start))
@@ -279,7 +281,7 @@ STAGE = Stage(
     inputs=(SCENES, OBSTACLES, TARGETS, PICK_LIFT, CANDIDATE_PAIRS, PLANNING_LABELS, PLANS),
     objects=("objects", "object_parts", "grasp_pool"),
     outputs=(EXECUTION_LABELS,),
-    sections=(ExecutionParams, MotionParams, PhysicsParams),
+    sections=(ExecutionParams, PlanningParams, MotionParams, PhysicsParams),
     engines=("pybullet", "frankik", "ruckig", "numpy", "scipy"),
     run=run,
     law=laws.execution_labels_law,

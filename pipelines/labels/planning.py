@@ -21,7 +21,7 @@ from pipelines.engines.planning.planner import CountedChecks, SearchParams, path
 from pipelines.engines.planning.trajectory import MotionParams, path_duration_s
 from pipelines.engines.robot.arm import QD_MAX_RAD_S, follow_line, ik
 from pipelines.stage import Stage, Unit, UnitResult, timing_row
-from pipelines.values import Candidate, LiftedGrasp, Plan, Scene
+from pipelines.values import Candidate, LiftedGrasp, Motion, Plan, Scene
 from tables.identity import ompl_seed_for
 from tables.schemas import CANDIDATE_PAIRS, OBSTACLES, PICK_LIFT, PLANNING_LABELS, PLANS, SCENES, TARGETS
 from tables.vocabulary import PlanStatus
@@ -56,10 +56,10 @@ class PlanningParams:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """Outcome of planning one candidate; the plan exists where the status is `solved`."""
+    """Outcome of planning one candidate; the motion exists where the status is `solved`."""
 
     status: PlanStatus
-    plan: Plan | None
+    motion: Motion | None
     n_goals: int
     n_checks: int
     used_search: bool
@@ -85,8 +85,41 @@ def planning_rows(
     model = model or CollisionModel(candidate.scene, object_model)
     judgement = judge_candidate(object_model, candidate, setup.planning, setup.seed, model)
     label = {"candidate_id": candidate.candidate_id, **_label_columns(judgement, model, setup)}
-    plan = judgement.plan
-    return label, None if plan is None else {"candidate_id": candidate.candidate_id, **plan_columns(plan)}
+    motion = judgement.motion
+    return label, None if motion is None else {"candidate_id": candidate.candidate_id, **plan_columns(plan_of(motion))}
+
+
+def plan_of(motion: Motion) -> Plan:
+    """What has to be stored of a motion: the rest follows from the candidate."""
+    return Plan(motion.descend_q_rad[-1], motion.transport_q_rad[1:-1])
+
+
+def motion_of(candidate: Candidate, plan: Plan, params: PlanningParams) -> Motion:
+    """The motion of a stored plan, bit for bit as it was planned: the lines are followed again from where the hand lets go.
+
+    Raises:
+        ValueError: the arm cannot follow a line that planning followed: the plan is not this candidate's, or other parameters made it.
+    """
+    T_base_place = candidate.place_pose(params.release_height_m)
+    up, back = (_line(T_base_place, T_end, plan.place_q_rad, params) for T_end in _line_ends(T_base_place, params))
+    if up is None or back is None:
+        raise ValueError(f"{candidate.candidate_id}: the arm cannot follow the {'descend' if up is None else 'retreat'} of its stored plan")
+    transport = np.concatenate([candidate.grasp.lifted_q_rad[None], plan.via_q_rad, up[-1:]])
+    return Motion(transport, up[::-1], back)
+
+
+def _line_ends(T_base_place: Float[np.ndarray, "4 4"], params: PlanningParams) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]:
+    """TCP poses at pre-place, straight above, and after the retreat, straight back along the approach."""
+    T_preplace, T_retreat = T_base_place.copy(), T_base_place.copy()
+    T_preplace[2, 3] += params.preplace_m
+    T_retreat[:3, 3] -= params.retreat_m * T_base_place[:3, 2]
+    return T_preplace, T_retreat
+
+
+def _line(
+    T_base_place: Float[np.ndarray, "4 4"], T_end: Float[np.ndarray, "4 4"], q: Float[np.ndarray, "7"], params: PlanningParams
+) -> Float[np.ndarray, "m 7"] | None:
+    return follow_line(T_base_place, T_end, q, params.line_step_m, params.max_joint_jump_rad)
 
 
 def judge_candidate(object_model: ObjectModel, candidate: Candidate, params: PlanningParams, seed: int, model: CollisionModel) -> Judgement:
@@ -100,8 +133,8 @@ def judge_candidate(object_model: ObjectModel, candidate: Candidate, params: Pla
     model.attach(grasp.T_tcp_object, grasp.fingers_m)
     model.place_object(T_base_object, jaw_m)
     placement = _Placement(candidate.place_pose(params.release_height_m), jaw_m, grasp, model, params)
-    status, plan = placement.solve(T_base_object, ompl_seed_for(seed, "planning_labels", candidate.candidate_id))
-    return Judgement(status, plan, placement.n_goals, placement.carrying.n_checks + placement.open.n_checks, placement.used_search)
+    status, motion = placement.solve(T_base_object, ompl_seed_for(seed, "planning_labels", candidate.candidate_id))
+    return Judgement(status, motion, placement.n_goals, placement.carrying.n_checks + placement.open.n_checks, placement.used_search)
 
 
 class _Placement:
@@ -116,7 +149,7 @@ class _Placement:
         self.used_search = False
         self.furthest = PlanStatus.DESCEND_BLOCKED
 
-    def solve(self, T_base_object: Float[np.ndarray, "4 4"], seed: int) -> tuple[PlanStatus, Plan | None]:
+    def solve(self, T_base_object: Float[np.ndarray, "4 4"], seed: int) -> tuple[PlanStatus, Motion | None]:
         surroundings, hand = self.model.surroundings, hand_body(self.jaw_m)
         if surroundings.in_collision(hand, self.T_base_place) or surroundings.in_collision(self.model.object, T_base_object):
             return PlanStatus.PLACE_COLLISION, None
@@ -132,7 +165,7 @@ class _Placement:
             if not ends and self.carrying.in_collision(q_start):
                 return PlanStatus.START_COLLISION, None
             if self.carrying.is_free_edge(q_start, descend[0], self.params.search.edge_step_rad):
-                return PlanStatus.SOLVED, Plan(np.stack([q_start, descend[0]]), descend, retreat)
+                return PlanStatus.SOLVED, Motion(np.stack([q_start, descend[0]]), descend, retreat)
             ends.append((descend, retreat))
         if not ends:
             return self.furthest, None
@@ -141,7 +174,7 @@ class _Placement:
         if path is None:
             return PlanStatus.BUDGET_SPENT, None
         reached = int(np.argmin([np.abs(descend[0] - path[-1]).max() for descend, _ in ends]))
-        return PlanStatus.SOLVED, Plan(path, *ends[reached])
+        return PlanStatus.SOLVED, Motion(path, *ends[reached])
 
     def _free_goals(self, solutions: Float[np.ndarray, "k 7"]) -> list[Float[np.ndarray, "7"]]:
         """The first free configurations at the place pose, soonest reached from the start first."""
@@ -157,26 +190,21 @@ class _Placement:
 
     def _ends(self, goals: list[Float[np.ndarray, "7"]]) -> Iterator[tuple[Float[np.ndarray, "d 7"], Float[np.ndarray, "r 7"]]]:
         """Free descend and retreat lines of the goals that have both."""
-        T_preplace, T_retreat = self.T_base_place.copy(), self.T_base_place.copy()
-        T_preplace[2, 3] += self.params.preplace_m
-        T_retreat[:3, 3] -= self.params.retreat_m * self.T_base_place[:3, 2]
+        T_preplace, T_retreat = _line_ends(self.T_base_place, self.params)
         for q in goals:
-            up = self._line(T_preplace, q)
+            up = _line(self.T_base_place, T_preplace, q, self.params)
             if up is None or not self.carrying.is_free_path(up[1:]):
                 continue
             self.furthest = PlanStatus.RETREAT_BLOCKED
-            back = self._line(T_retreat, q)
+            back = _line(self.T_base_place, T_retreat, q, self.params)
             if back is None or not self.open.is_free_path(back):
                 continue
             yield up[::-1], back
 
-    def _line(self, T_end: Float[np.ndarray, "4 4"], q: Float[np.ndarray, "7"]) -> Float[np.ndarray, "m 7"] | None:
-        return follow_line(self.T_base_place, T_end, q, self.params.line_step_m, self.params.max_joint_jump_rad)
-
 
 def _label_columns(judgement: Judgement, model: CollisionModel, setup: PlanningSetup) -> Row:
     row: Row = {
-        "y_plan": judgement.plan is not None,
+        "y_plan": judgement.motion is not None,
         "plan_status": judgement.status.value,
         "min_clearance_m": None,
         "n_goals": judgement.n_goals,
@@ -186,12 +214,12 @@ def _label_columns(judgement: Judgement, model: CollisionModel, setup: PlanningS
         "n_waypoints": None,
         "used_search": judgement.used_search,
     }
-    plan = judgement.plan
-    if plan is not None:
-        transport = plan.transport_q_rad
+    motion = judgement.motion
+    if motion is not None:
+        transport = motion.transport_q_rad
         row["min_clearance_m"] = path_clearance_m(model, path_samples(transport, setup.planning.clearance_step_rad))
         row["plan_duration_s"] = path_duration_s(transport, setup.motion, stop_at_waypoints=True) + sum(
-            path_duration_s(line, setup.motion, stop_at_waypoints=False) for line in (plan.descend_q_rad, plan.retreat_q_rad)
+            path_duration_s(line, setup.motion, stop_at_waypoints=False) for line in (motion.descend_q_rad, motion.retreat_q_rad)
         )
         row["path_length_rad"] = float(np.linalg.norm(np.diff(transport, axis=0), axis=1).sum())
         row["n_waypoints"] = len(transport)

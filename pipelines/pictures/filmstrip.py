@@ -14,7 +14,7 @@ from pipelines.engines.physics.world import PhysicsWorld
 from pipelines.labels.execution import ExecutionSetup, execute_candidate
 from pipelines.pictures.renderer import Renderer
 from pipelines.pictures.views import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, picture_view, shrunk
-from pipelines.values import Candidate, Plan, Scene
+from pipelines.values import Candidate, Motion, Scene
 
 _GHOST_OPACITY = 0.4
 
@@ -31,7 +31,7 @@ class Frame:
 def render_execution_frames(
     object_model: ObjectModel,
     candidate: Candidate,
-    plan: Plan,
+    motion: Motion,
     setup: ExecutionSetup,
     *,
     n_frames: int = 6,
@@ -46,7 +46,7 @@ def render_execution_frames(
     """
     with PhysicsWorld(object_model, candidate.scene.obstacles, setup.physics) as world:
         film = _Film(world)
-        row = execute_candidate(world, candidate, plan, setup, film.watch)
+        row = execute_candidate(world, candidate, motion, setup, film.watch)
     picked = np.unique(np.linspace(0, len(film.states) - 1, n_frames).round().astype(int))
     return row, _pictures(object_model, candidate.scene, candidate.target.T_base_target, [film.states[k] for k in picked], size_px)
 

@@ -17,7 +17,7 @@ from objects.object_model import ObjectModel
 from pipelines.codecs import Row
 from pipelines.decoded import Decoded
 from pipelines.engines.planning.collision import CollisionModel
-from pipelines.labels.planning import judge_candidate
+from pipelines.labels.planning import judge_candidate, motion_of
 from pipelines.proofs.audit.bullet_scene import BulletScene
 from pipelines.proofs.audit.errors import AuditError
 from pipelines.proofs.audit.params import AuditParams
@@ -35,7 +35,7 @@ _ITEMS_A_UNIT = 8  # they share a scene and its engine; small enough that two wo
 
 @dataclass(frozen=True, slots=True)
 class AuditItem:
-    """One audit of one candidate; the plan exists where the stored status is `solved`."""
+    """One audit of one candidate; the plan exists where a path is rechecked."""
 
     recipe: Recipe
     object_model: ObjectModel
@@ -123,7 +123,8 @@ def _path_row(item: AuditItem, world: BulletScene, params: AuditParams) -> Row:
         raise AuditError(f"{item.candidate_id}: stored as {item.stored_status}, but has no plan")
     recipe = item.recipe
     T_base_place = item.candidate.release_pose(recipe.planning.release_height_m)
-    verdict = recheck_path(world, item.candidate.grasp, T_base_place, item.plan, recipe.motion, params.step_rad)
+    motion = motion_of(item.candidate, item.plan, recipe.planning)
+    verdict = recheck_path(world, item.candidate.grasp, T_base_place, motion, recipe.motion, params.step_rad)
     return {
         **_row(item, None, verdict.n_configurations, agrees=verdict.depth_m <= params.max_depth_m),
         "depth_m": verdict.depth_m,
@@ -137,7 +138,7 @@ def _budget_row(item: AuditItem, model: CollisionModel, params: AuditParams) -> 
     search = dataclasses.replace(planning.search, max_checks=params.budget_factor * planning.search.max_checks)
     patient = dataclasses.replace(planning, search=search)
     found = judge_candidate(item.object_model, item.candidate, patient, item.recipe.seed, model)
-    return _row(item, found.status, found.n_checks, agrees=found.plan is None)
+    return _row(item, found.status, found.n_checks, agrees=found.motion is None)
 
 
 def _rejection_row(item: AuditItem, world: BulletScene, params: AuditParams) -> Row:

@@ -14,7 +14,7 @@ import pyarrow as pa
 from objects.object_model import ObjectModel
 from pipelines.codecs import Row, plan_in
 from pipelines.labels.execution import execute_perturbed
-from pipelines.labels.planning import planning_rows
+from pipelines.labels.planning import motion_of, planning_rows
 from pipelines.recipe import Recipe
 from pipelines.running.workers import run_units
 from pipelines.values import Candidate
@@ -84,7 +84,8 @@ def attempt_row(repeat: Repeat) -> Row:
     label, plan_row = planning_rows(repeat.object_model, candidate, recipe.planning_setup)
     execution: Row = dict.fromkeys(EXECUTION_LABELS.names)
     if plan_row is not None:
-        execution = execute_perturbed(repeat.object_model, candidate, plan_in(plan_row), repeat.perturbation, recipe.execution_setup)
+        motion = motion_of(candidate, plan_in(plan_row), recipe.planning)
+        execution = execute_perturbed(repeat.object_model, candidate, motion, repeat.perturbation, recipe.execution_setup)
     return {
         "candidate_id": candidate.candidate_id,
         "perturbation": repeat.perturbation.value,

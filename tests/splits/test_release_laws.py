@@ -11,6 +11,7 @@ import pytest
 from pipelines.stages import STAGES
 from splits.release_laws import broken_laws
 from tables import schemas
+from tables.columns import joint_columns
 from tables.store import table_from_rows
 from tests.model.synthetic_release import TOLERANCES
 from tests.splits.changed import changed
@@ -162,7 +163,7 @@ def test_every_stage_s_law_is_broken_by_some_fault() -> None:
 
 def test_a_plan_without_its_motion_is_named(release_tables: dict[str, pa.Table]) -> None:
     planned = [row["candidate_id"] for row in release_tables["candidates"].to_pylist() if row["y_plan"]]
-    motion = {"transport_q_rad": [0.0] * 14, "descend_q_rad": [0.0] * 14, "retreat_q_rad": [0.0] * 14}
+    motion = {**dict.fromkeys(joint_columns("place_q"), 0.0), "via_q_rad": []}
     plans = table_from_rows(schemas.PLANS, [{"candidate_id": name, **motion} for name in planned])
     assert errors_of(release_tables | {"plans": plans}) == []
     (error,) = errors_of(release_tables | {"plans": plans.slice(1)})

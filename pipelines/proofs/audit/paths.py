@@ -15,7 +15,7 @@ from objects.gripper import open_jaw_m
 from pipelines.engines.planning.trajectory import MotionParams, time_path
 from pipelines.engines.robot.arm import QD_MAX_RAD_S
 from pipelines.proofs.audit.bullet_scene import FAR_M, FINGERS, LINKS, ROBOT, BulletScene, Nearest, Pair
-from pipelines.values import LiftedGrasp, Plan
+from pipelines.values import LiftedGrasp, Motion
 
 # Bodies of the robot that may overlap: neighbours overlap at their common joint in every configuration, the hand sits on link7, the
 # fingers slide in the hand and close on each other. link5 and link7 are kept apart by the joint limits: their hulls meet in 6 % of random
@@ -41,7 +41,7 @@ class PathVerdict:
 
 
 def recheck_path(
-    world: BulletScene, grasp: LiftedGrasp, T_base_place: Float[np.ndarray, "4 4"], plan: Plan, motion: MotionParams, step_rad: float
+    world: BulletScene, grasp: LiftedGrasp, T_base_place: Float[np.ndarray, "4 4"], motion: Motion, timing: MotionParams, step_rad: float
 ) -> PathVerdict:
     """Distances along transport, descend and retreat, on the curve that execution commands.
 
@@ -55,7 +55,7 @@ def recheck_path(
     jaw_m = open_jaw_m(world.object_model.grasp(grasp.grasp_id).jaw_width_m)
     depth_m, deepest, clearance_m, n = -FAR_M, None, FAR_M, 0
     for phase in ("transport", "descend", "retreat"):
-        q = executed_path(getattr(plan, f"{phase}_q_rad"), motion, stop_at_waypoints=phase == "transport", step_rad=step_rad)
+        q = executed_path(getattr(motion, f"{phase}_q_rad"), timing, stop_at_waypoints=phase == "transport", step_rad=step_rad)
         if phase == "retreat":
             placed = {**world.arm(q, np.array([jaw_m / 2, jaw_m / 2])), "object": T_base_place[None]}
             touch, keep_clear = standing_pairs(), arm_pairs(world)

@@ -17,7 +17,7 @@ from pipelines.engines.robot.arm import fk, follow_line
 from pipelines.labels.execution import ExecutionParams, ExecutionSetup, execute_candidate, execute_perturbed, execution_rows
 from pipelines.pictures.filmstrip import render_execution_frames
 from pipelines.scenes.tabletop import standing
-from pipelines.values import Candidate, Obstacle, Plan, Scene, Target
+from pipelines.values import Candidate, Motion, Obstacle, Scene, Target
 from tables import schemas
 from tables.store import table_from_rows
 from tables.vocabulary import Perturbation
@@ -36,7 +36,7 @@ def _moved(candidate: Candidate, T: np.ndarray) -> Candidate:
     return dataclasses.replace(candidate, target=Target(candidate.target.target_id, 0, T))
 
 
-def _run(case: Lifted, candidate: Candidate, plan: Plan) -> Row:
+def _run(case: Lifted, candidate: Candidate, plan: Motion) -> Row:
     with PhysicsWorld(case.object_model, candidate.scene.obstacles, PHYSICS) as world:
         return execute_candidate(world, candidate, plan, SETUP)
 
@@ -120,7 +120,7 @@ def test_a_plan_into_the_air_topples_or_misses() -> None:
     case = lifted("can")
     planned = case.of(case.grasps[0])
     candidate, plan, back = next((c, p, back) for c, p in planned if (back := _back(p.descend_q_rad[0])) is not None)
-    row = _run(case, candidate, Plan(plan.transport_q_rad, plan.descend_q_rad[:1], back))
+    row = _run(case, candidate, Motion(plan.transport_q_rad, plan.descend_q_rad[:1], back))
     assert row["release_position_error_m"] == pytest.approx(0.103, abs=0.01)
     assert pose_in(row, "final")[2, 3] < 0.08
     if not row["y_pipe"]:

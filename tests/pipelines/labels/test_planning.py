@@ -10,14 +10,14 @@ import pytest
 
 from objects.gripper import open_jaw_m
 from objects.object_model import ObjectModel
-from pipelines.codecs import Row, admitted_grasps, plan_in
+from pipelines.codecs import Row, admitted_grasps, plan_columns, plan_in
 from pipelines.engines.planning.collision import CollisionModel
 from pipelines.engines.planning.planner import SearchParams, path_samples
 from pipelines.engines.planning.trajectory import MotionParams, time_path
 from pipelines.engines.robot.arm import fk
 from pipelines.grasps.admission import AdmissionParams, admission_rows
-from pipelines.labels.planning import PlanningParams, PlanningSetup, planning_rows
-from pipelines.values import Candidate, LiftedGrasp, Obstacle, Plan, Scene, Target
+from pipelines.labels.planning import PlanningParams, PlanningSetup, judge_candidate, motion_of, plan_of, planning_rows
+from pipelines.values import Candidate, LiftedGrasp, Motion, Obstacle, Scene, Target
 from tables.schemas import PLANNING_LABELS, PLANS
 from tables.store import content_hash, table_from_rows
 from tests.builders import box_model, can_model, ideally_lifted, panda_scene, pose
@@ -72,8 +72,9 @@ def test_a_solved_candidate_is_a_free_motion_to_its_target(name: str) -> None:
     grasps = {grasp.grasp_id: grasp for grasp in p.grasps}
     with BulletReference(p.scene, p.object_model) as reference:
         for row in plan_rows[::5]:
-            plan, target_id, grasp_id = plan_in(row), int(row["candidate_id"][-5]), int(row["candidate_id"][-2:])
+            target_id, grasp_id = int(row["candidate_id"][-5]), int(row["candidate_id"][-2:])
             grasp = grasps[grasp_id]
+            plan = motion_of(Candidate(p.scene, grasp, p.scene.target(target_id)), plan_in(row), PARAMS)
             T_base_object = p.scene.targets[target_id].T_base_target.copy()
             T_base_object[2, 3] += PARAMS.release_height_m
             check_chain(plan, grasp, T_base_object)
@@ -83,7 +84,7 @@ def test_a_solved_candidate_is_a_free_motion_to_its_target(name: str) -> None:
             assert min(reference.open_m(q, jaw_m, T_base_object) for q in plan.retreat_q_rad[::4]) > -0.001
 
 
-def check_chain(plan: Plan, grasp: LiftedGrasp, T_base_object: np.ndarray) -> None:
+def check_chain(plan: Motion, grasp: LiftedGrasp, T_base_object: np.ndarray) -> None:
     np.testing.assert_array_equal(plan.transport_q_rad[0], grasp.lifted_q_rad)
     np.testing.assert_array_equal(plan.transport_q_rad[-1], plan.descend_q_rad[0])
     np.testing.assert_array_equal(plan.descend_q_rad[-1], plan.retreat_q_rad[0])
@@ -95,6 +96,25 @@ def check_chain(plan: Plan, grasp: LiftedGrasp, T_base_object: np.ndarray) -> No
         assert np.linalg.norm(np.diff(line[:, :3, 3], axis=0), axis=1).max() <= PARAMS.line_step_m + 1e-6
     for q in (plan.descend_q_rad, plan.retreat_q_rad):
         assert np.abs(np.diff(q, axis=0)).max() <= PARAMS.max_joint_jump_rad
+
+
+def test_a_stored_plan_gives_the_planned_motion_back_bit_for_bit() -> None:
+    """Straight transports and, through a wall, one that was searched for; the plan of another candidate is refused."""
+    p = problem("can")
+    around, scene, grasp = walled()
+    searched = Candidate(scene, grasp, scene.target(0))
+    n_via = []
+    for object_model, candidate in [*((p.object_model, candidate) for candidate in p.candidates), (around.object_model, searched)]:
+        motion = judge_candidate(object_model, candidate, PARAMS, SEED, CollisionModel(candidate.scene, object_model)).motion
+        if motion is not None:
+            again = motion_of(candidate, plan_in(plan_columns(plan_of(motion))), PARAMS)
+            for part in ("transport_q_rad", "descend_q_rad", "retreat_q_rad"):
+                np.testing.assert_array_equal(getattr(again, part), getattr(motion, part))
+            n_via.append(len(motion.transport_q_rad) - 2)
+    assert len(n_via) >= 15
+    assert n_via[-1] > 0
+    with pytest.raises(ValueError, match="start missed by"):
+        motion_of(dataclasses.replace(searched, target=Target(0, 0, pose(0.5, -0.36, 0.06))), plan_of(motion), PARAMS)
 
 
 def test_rows_do_not_depend_on_order_or_company() -> None:
@@ -121,7 +141,8 @@ def test_labels_hold_under_a_finer_look() -> None:
 def test_numbers_of_a_solved_candidate_are_those_of_its_plan() -> None:
     p = problem("can")
     labels, plan_rows = p.rows()
-    plans = {row["candidate_id"]: plan_in(row) for row in plan_rows}
+    stored = {row["candidate_id"]: plan_in(row) for row in plan_rows}
+    plans = {c.candidate_id: motion_of(c, stored[c.candidate_id], PARAMS) for c in p.candidates if c.candidate_id in stored}
     for row in labels:
         numbers = [row[name] for name in ("min_clearance_m", "plan_duration_s", "path_length_rad", "n_waypoints")]
         if not row["y_plan"]:

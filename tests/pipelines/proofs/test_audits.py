@@ -15,14 +15,14 @@ from pipelines.engines.planning.collision import CollisionModel
 from pipelines.engines.planning.planner import SearchParams
 from pipelines.engines.robot.arm import HOME_Q_RAD, fk
 from pipelines.grasps.admission import AdmissionParams, admission_rows
-from pipelines.labels.planning import Judgement, judge_candidate
+from pipelines.labels.planning import Judgement, judge_candidate, plan_of
 from pipelines.proofs.audit.bullet_scene import FAR_M, BulletScene
 from pipelines.proofs.audit.params import AuditParams
 from pipelines.proofs.audit.paths import executed_path, recheck_path
 from pipelines.proofs.audit.rejections import rejudge
 from pipelines.proofs.audits import AuditError, AuditItem, audit_rows, audit_unit, choose_audited
 from pipelines.recipe import Recipe
-from pipelines.values import Candidate, LiftedGrasp, Obstacle, Scene, Target
+from pipelines.values import Candidate, LiftedGrasp, Motion, Obstacle, Scene, Target
 from tables.schemas import AUDITS
 from tables.store import content_hash, table_from_rows
 from tables.vocabulary import Audit, PlanStatus
@@ -42,6 +42,11 @@ class Solved:
     judgement: Judgement
 
     @property
+    def motion(self) -> Motion:
+        assert self.judgement.motion is not None
+        return self.judgement.motion
+
+    @property
     def scene(self) -> Scene:
         return self.candidate.scene
 
@@ -54,7 +59,7 @@ class Solved:
         return Candidate(scene, self.grasp, scene.target(0))
 
     def item(self, audit: Audit, status: PlanStatus, scene: Scene | None = None, recipe: Recipe = RECIPE) -> AuditItem:
-        plan = self.judgement.plan if audit is Audit.PATH_GEOMETRY else None
+        plan = plan_of(self.motion) if audit is Audit.PATH_GEOMETRY else None
         return AuditItem(recipe, self.object_model, self.elsewhere(scene or self.scene), status, plan, audit)
 
     def with_box(self, T: np.ndarray, size_m: tuple[float, float, float]) -> Scene:
@@ -71,7 +76,7 @@ def solved(y_m: float = 0.25, axis: int = 1) -> Solved:
         approach = (scene.targets[0].T_base_target @ np.linalg.inv(grasp.T_tcp_object))[:3, 2]
         candidate = Candidate(scene, grasp, scene.target(0))
         judgement = judge_candidate(object_model, candidate, RECIPE.planning, RECIPE.seed, CollisionModel(scene, object_model))
-        if judgement.plan is not None and approach[axis] > 0.9:
+        if judgement.motion is not None and approach[axis] > 0.9:
             return Solved(object_model, candidate, judgement)
     raise AssertionError("no grasp from that side is solved")
 
@@ -136,11 +141,9 @@ def test_an_object_that_slid_into_a_finger_is_found_in_the_retreat() -> None:
     T_tcp_object = s.grasp.T_tcp_object.copy()
     T_tcp_object[1, 3] += 0.02
     slid = dataclasses.replace(s.grasp, T_tcp_object=T_tcp_object)
-    T_place = fk(s.judgement.plan.descend_q_rad[-1]) @ T_tcp_object if s.judgement.plan else None
-    assert T_place is not None
-    assert s.judgement.plan is not None
+    T_place = fk(s.motion.descend_q_rad[-1]) @ T_tcp_object
     with BulletScene(s.scene, s.object_model) as world:
-        verdict = recheck_path(world, slid, T_place, s.judgement.plan, RECIPE.motion, PARAMS.step_rad)
+        verdict = recheck_path(world, slid, T_place, s.motion, RECIPE.motion, PARAMS.step_rad)
     # 12 mm of room on that side.
     assert verdict.depth_m == pytest.approx(0.008, abs=2e-4)
     assert verdict.deepest_pair is not None

@@ -13,9 +13,9 @@ from pipelines.engines.physics.world import PhysicsParams
 from pipelines.engines.planning.trajectory import MotionParams
 from pipelines.grasps.admission import AdmissionParams, admission_rows
 from pipelines.grasps.pick_lift import PickLiftParams, pick_lift_rows
-from pipelines.labels.planning import PlanningParams, PlanningSetup, planning_rows
+from pipelines.labels.planning import PlanningParams, PlanningSetup, motion_of, planning_rows
 from pipelines.scenes.tabletop import standing
-from pipelines.values import Candidate, LiftedGrasp, Obstacle, Plan, Scene, Target
+from pipelines.values import Candidate, LiftedGrasp, Motion, Obstacle, Scene, Target
 from tests.pipelines.engines.physics.object_models import can_model, cuboid_model, mug_model
 
 PHYSICS, MOTION = PhysicsParams(), MotionParams()
@@ -31,11 +31,11 @@ class Lifted:
     scene: Scene
     lift_rows: tuple[Row, ...]
     grasps: tuple[LiftedGrasp, ...]
-    planned: tuple[tuple[Candidate, Plan], ...]
+    planned: tuple[tuple[Candidate, Motion], ...]
 
-    def of(self, grasp: LiftedGrasp) -> list[tuple[Candidate, Plan]]:
+    def of(self, grasp: LiftedGrasp) -> list[tuple[Candidate, Motion]]:
         """The planned candidates of a grasp, in target order."""
-        return [(candidate, plan) for candidate, plan in self.planned if candidate.grasp.grasp_id == grasp.grasp_id]
+        return [(candidate, motion) for candidate, motion in self.planned if candidate.grasp.grasp_id == grasp.grasp_id]
 
 
 def scene_of(object_model: ObjectModel, obstacles: tuple[Obstacle, ...] = ()) -> Scene:
@@ -56,5 +56,5 @@ def lifted(name: str, n_grasps: int = 2) -> Lifted:
     candidates = [Candidate(scene, grasp, target) for grasp in grasps for target in scene.targets]
     setup = PlanningSetup(PlanningParams(), MOTION, 42)
     found = [(candidate, planning_rows(object_model, candidate, setup)[1]) for candidate in candidates]
-    planned = tuple((candidate, plan_in(row)) for candidate, row in found if row is not None)
+    planned = tuple((candidate, motion_of(candidate, plan_in(row), setup.planning)) for candidate, row in found if row is not None)
     return Lifted(object_model, scene, tuple(rows), grasps, planned)
