@@ -8,7 +8,7 @@ rechecks the executed path; so does the palm against table and obstacles while t
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -207,10 +207,12 @@ def _add_hand(
     ET.SubElement(body, "inertial", pos="0 0 0", mass=repr(HAND_MASS_KG), diaginertia="1 1 1")
     scaled = object_model.friction * params.friction_scale
     bare = {"friction": _text([params.table_friction * scaled, 1e-5, 1e-5]), "priority": "2", "condim": "3", **_HAND, **_HARD}
-    pad = {**bare, "friction": _text([params.pad_friction * scaled, 1e-5, 1e-5])}
+    mu_pad = params.pad_friction * scaled
+    pad = {**bare, "friction": _text([mu_pad, 1e-5, 1e-5])}
     ET.SubElement(asset, "mesh", name="panda_hand", vertex=_text(link_mesh_vertices("panda_hand")), inertia="convex")
     ET.SubElement(body, "geom", name="panda_hand 0", type="mesh", mesh="panda_hand", **bare)
     cells = pad_cells(params.cells_per_side, params.pad_lever_scale)
+    cell = {**bare, "friction": _text([mu_pad, mu_pad * cells.lever_m, 1e-5]), "condim": "4"}
     drives = ET.SubElement(root, "actuator")
     gain = params.finger_force_n / params.finger_speed_m_s
     for side, name in zip((1.0, -1.0), FINGERS, strict=True):
@@ -218,7 +220,7 @@ def _add_hand(
         ET.SubElement(finger, "joint", name=name, type="slide", axis=_text([0.0, side, 0.0]), range=_text([0.0, MAX_JAW_M / 2]), **_limit())
         inertia = _text([1e-4] * 3)
         ET.SubElement(finger, "inertial", pos="0 0 0", mass=repr(params.finger_mass_kg), diaginertia=inertia)
-        _add_finger_geoms(finger, name, side, cells, params.pad_protrusion_m, bare, pad)
+        _add_finger_geoms(finger, name, side, cells, params.pad_protrusion_m, {"cell": cell, "pad": pad, "bare": bare})
         ET.SubElement(
             drives,
             "general",
@@ -239,17 +241,18 @@ def _limit() -> dict[str, str]:
 
 
 def _add_finger_geoms(
-    finger: ET.Element, name: str, side: float, cells: PadCells, protrusion_m: float, bare: dict[str, str], pad: dict[str, str]
+    finger: ET.Element, name: str, side: float, cells: PadCells, protrusion_m: float, surfaces: Mapping[str, dict[str, str]]
 ) -> None:
+    """The pad's cells, the rigid block behind them, and the bare finger."""
     for k, ((x, y, z), (sx, sy, sz)) in enumerate(FINGER_BOXES):
         is_pad = k == 0
         if is_pad:
             for c, (u, w) in enumerate(cells.points_m):
                 centre = _text([x + u, side * (PAD_FACE_M + cells.radius_m), z + w])
-                ET.SubElement(finger, "geom", name=f"{name} cell {c}", type="sphere", size=repr(cells.radius_m), pos=centre, **pad)
+                ET.SubElement(finger, "geom", name=f"{name} cell {c}", type="sphere", size=repr(cells.radius_m), pos=centre, **surfaces["cell"])
             y, sy = y + protrusion_m / 2, sy - protrusion_m
         box = {"pos": _text([x, side * y, z]), "size": _text([sx / 2, sy / 2, sz / 2])}
-        ET.SubElement(finger, "geom", name=f"{name} {k}", type="box", **box, **(pad if is_pad else bare))
+        ET.SubElement(finger, "geom", name=f"{name} {k}", type="box", **box, **surfaces["pad" if is_pad else "bare"])
 
 
 def _set_pad_yield(model: mujoco.MjModel, params: HandWorldParams) -> None:
