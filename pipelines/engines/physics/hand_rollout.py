@@ -1,0 +1,109 @@
+"""Motions of a hand world: follow a trajectory, hold, close, open, settle, and watch what happens; verdicts are the stages'.
+
+The same names and meanings as in rollout.py, which runs them in the other engine.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipelines.engines.physics.hand_model import FINGERS
+from pipelines.engines.physics.hand_motion import hand_motion
+from pipelines.engines.physics.hand_world import HandWorld
+from pipelines.engines.physics.rollout import Phase, Watch, no_watch, pose_difference
+from pipelines.engines.planning.trajectory import Trajectory
+
+
+def move(world: HandWorld, phase: Phase, trajectory: Trajectory, watch: Watch = no_watch) -> bool:
+    """Follow a trajectory, one sample a tick; False where the watch, a lost object or a protective stop ended it."""
+    if world.is_lost or world.is_stopped:
+        return False
+    motion = hand_motion(trajectory, world.params.dt_s)
+    world.begin_motion(motion)
+    every = world.params.check_every_steps
+    for k, q in enumerate(np.asarray(trajectory.q_rad[1:])):
+        world.step_along(motion, k, q)
+        if world.is_lost or world.is_stopped or ((k + 1) % every == 0 and watch(phase)):
+            return False
+    return not watch(phase)
+
+
+def hold(world: HandWorld, phase: Phase, duration_s: float, watch: Watch = no_watch) -> bool:
+    """Let a duration pass under the present commands; False where the watch, a lost object or a protective stop ended it."""
+    for k in range(1, n_steps_of(world, duration_s) + 1):
+        if world.is_lost or world.is_stopped:
+            return False
+        world.step()
+        if k % world.params.check_every_steps == 0 and watch(phase):
+            return False
+    return True
+
+
+def close_fingers(world: HandWorld, max_s: float, watch: Watch = no_watch) -> bool:
+    """Close until both fingers press on the object in two checks in a row, and go on pressing; False where they never do."""
+    world.grip()
+    n_pressing = 0
+    for k in range(1, n_steps_of(world, max_s) + 1):
+        world.step()
+        if k % world.params.check_every_steps == 0:
+            n_pressing = n_pressing + 1 if pressing_fingers(world) == 2 else 0
+            if world.is_stopped or watch(Phase.CLOSE):
+                return False
+            if n_pressing >= 2:
+                return True
+    return False
+
+
+def open_fingers(world: HandWorld, jaw_m: float, max_s: float, watch: Watch = no_watch) -> bool:
+    """Open both fingers to half of `jaw_m` each and stop there; False where something kept them from it."""
+    world.command_fingers(world.params.finger_speed_m_s)
+    for k in range(1, n_steps_of(world, max_s) + 1):
+        world.step()
+        # At 0.05 m/s a finger moves 0.2 mm a tick.
+        if world.arm_state()[1].min() >= jaw_m / 2 - 1e-4:
+            world.command_fingers(0.0)
+            return True
+        if world.is_stopped or (k % world.params.check_every_steps == 0 and watch(Phase.OPEN)):
+            break
+    world.command_fingers(0.0)
+    return False
+
+
+def settle(world: HandWorld, max_steps: int, watch: Watch = no_watch) -> bool:
+    """Step until the object is at rest in three checks in a row; False where it still moves after `max_steps`."""
+    rest = RestWatch(world)
+    for k in range(1, max_steps + 1):
+        world.step()
+        if k % world.params.check_every_steps == 0:
+            watch(Phase.SETTLE)
+            if rest.is_at_rest():
+                return True
+    return False
+
+
+class RestWatch:
+    """Tells whether the object has come to rest, asked every `check_every_steps` ticks; speeds are means from one check to the next."""
+
+    def __init__(self, world: HandWorld) -> None:
+        self._world = world
+        self._before = world.object_pose()
+        self._n_quiet = 0
+
+    def is_at_rest(self) -> bool:
+        """Whether this check and enough checks before it in a row found the object below both speed bounds."""
+        params, now = self._world.params, self._world.object_pose()
+        seconds = params.check_every_steps * params.dt_s
+        moved_m, turned_rad = pose_difference(self._before, now)
+        is_quiet = moved_m < params.settled_speed_m_s * seconds and turned_rad < params.settled_rate_rad_s * seconds
+        self._before, self._n_quiet = now, self._n_quiet + 1 if is_quiet else 0
+        return self._n_quiet >= params.settled_checks
+
+
+def pressing_fingers(world: HandWorld) -> int:
+    """Number of fingers that press on the object: 0, 1 or 2."""
+    return sum(world.touching(finger) for finger in FINGERS) if world.has_robot else 0
+
+
+def n_steps_of(world: HandWorld, duration_s: float) -> int:
+    """Whole ticks in a duration, at least one."""
+    return max(1, round(duration_s / world.params.dt_s))
