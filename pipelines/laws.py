@@ -186,13 +186,14 @@ def _execution_rules(promise: Promise) -> list[tuple[str, pl.Expr, list[str]]]:
             (status == ExecStatus.OFF_TARGET.value) & (margin >= 0.0),
             ["exec_status", "tolerance_margin"],
         ),
-        (
-            "release errors and drag are there exactly where the object was still held at the release",
-            pl.any_horizontal(
-                pl.col("release_position_error_m", "release_rotation_error_rad", "retreat_drag_m").is_null()
-                != (status == ExecStatus.DROPPED.value)
-            ),
-            ["exec_status", "release_position_error_m", "retreat_drag_m"],
+        *(
+            (
+                f"{name} is there exactly where the hand let go: never after {ExecStatus.DROPPED.value}, always but after a stop",
+                (pl.col(name).is_not_null() & (status == ExecStatus.DROPPED.value))
+                | (pl.col(name).is_null() & ~status.is_in([ExecStatus.DROPPED.value, ExecStatus.STOPPED.value])),
+                ["exec_status", name],
+            )
+            for name in ("release_position_error_m", "release_rotation_error_rad", "retreat_drag_m")
         ),
     ]
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from objects.build import ObjectParams
+from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.engines.physics.world import PhysicsParams
 from pipelines.engines.planning.trajectory import MotionParams
 from pipelines.grasps.admission import AdmissionParams
@@ -48,7 +49,8 @@ class Recipe:
     planning: PlanningParams = field(default_factory=PlanningParams)
     execution: ExecutionParams = field(default_factory=ExecutionParams)
     motion: MotionParams = field(default_factory=MotionParams)
-    physics: PhysicsParams = field(default_factory=PhysicsParams)
+    physics: PhysicsParams = field(default_factory=PhysicsParams)  # of resting objects
+    hand_physics: HandWorldParams = field(default_factory=HandWorldParams)  # of held ones
 
     @property
     def planning_setup(self) -> PlanningSetup:
@@ -58,7 +60,7 @@ class Recipe:
     @property
     def execution_setup(self) -> ExecutionSetup:
         """What executing a plan needs."""
-        return ExecutionSetup(self.execution, self.motion, self.physics)
+        return ExecutionSetup(self.execution, self.motion, self.hand_physics)
 
     def promise(self, allocations: Iterable[SceneAllocation]) -> Promise:
         """What tables of scenes with these allocations must hold."""

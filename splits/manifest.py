@@ -21,6 +21,7 @@ _LIBRARIES = (
     "coal",
     "frankik",
     "manifold3d",
+    "mujoco",
     "numpy",
     "ompl",
     "pin",

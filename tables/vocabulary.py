@@ -53,6 +53,7 @@ class LiftStatus(StrEnum):
     LOST_FINGER = "lost_finger"  # held by one finger only
     SLIPPED = "slipped"
     DISTURBED = "disturbed"  # object pushed away before the fingers closed
+    STOPPED = "protective_stop"  # the hand met more force than it bears and stopped
 
 
 class PlanStatus(StrEnum):
@@ -73,6 +74,7 @@ class ExecStatus(StrEnum):
 
     SUCCESS = "success"
     DROPPED = "dropped_in_transport"
+    STOPPED = "protective_stop"  # the hand met more force than it bears and stopped
     SLIPPED = "slipped_in_hand"
     COLLIDED = "collided"
     OFF_TABLE = "left_the_table"
@@ -95,9 +97,11 @@ class Perturbation(StrEnum):
 
     FRESH = "fresh_process"
     HOLD = "hold_0.10s"
-    FINE_STEP = "step_1/480s"
+    FINE_STEP = "half_step"
     FRICTION_UP = "friction_+5%"
     FRICTION_DOWN = "friction_-5%"
+    PAD_LEVER_UP = "pad_lever_+15%"
+    PAD_LEVER_DOWN = "pad_lever_-15%"
 
 
 class Audit(StrEnum):

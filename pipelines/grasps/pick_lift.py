@@ -14,8 +14,10 @@ from objects.object_model import ObjectModel
 from pipelines import laws
 from pipelines.codecs import Row, joints_row, pose_row
 from pipelines.engines.physics.errors import PhysicsError
-from pipelines.engines.physics.rollout import Phase, close_fingers, hold, move, pose_difference, pressing_fingers
-from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
+from pipelines.engines.physics.hand_params import HandWorldParams
+from pipelines.engines.physics.hand_rollout import close_fingers, hold, move, pressing_fingers
+from pipelines.engines.physics.hand_world import HandWorld
+from pipelines.engines.physics.phases import Phase, pose_difference
 from pipelines.engines.planning.trajectory import MotionParams, time_path
 from pipelines.engines.robot.arm import fk, follow_line
 from pipelines.stage import Stage, Unit, UnitResult, timing_row
@@ -29,8 +31,8 @@ class PickLiftParams:
     """Bounds of the pick-lift check."""
 
     lift_m: float = 0.12  # as high as an obstacle: what is held clears everything on the table
-    # At 0.1 m/s a finger crosses its whole 40 mm in 0.4 s; twice that leaves room for an object pushed to the middle.
-    max_close_s: float = 0.8
+    # At 0.05 m/s a finger crosses its whole 40 mm in 0.8 s; twice that leaves room for an object pushed to the middle.
+    max_close_s: float = 1.6
     squeeze_s: float = 0.1  # grip force builds up before the arm moves
     hold_s: float = 0.25  # 60 steps: a grasp that creeps shows it
     max_approach_push_m: float = 0.01  # the open hand may touch what it is about to grasp, not shove it
@@ -53,14 +55,18 @@ def pick_lift_rows(
     admitted: Sequence[AdmittedGrasp],
     params: PickLiftParams,
     motion: MotionParams,
-    physics: PhysicsParams,
+    physics: HandWorldParams,
 ) -> list[Row]:
-    """Rows of `pick_lift`, one an admitted grasp; each grasp runs in a world built anew, so a row depends on its grasp only."""
-    with PhysicsWorld(object_model, scene.obstacles, physics) as world:
+    """Rows of `pick_lift`, one an admitted grasp; each grasp starts from fresh data, so a row depends on its grasp only.
+
+    Raises:
+        PhysicsError: the engine warned or gave a state that is not finite, or the arm cannot follow a line that admission passed.
+    """
+    with HandWorld(object_model, scene.obstacles, physics) as world:
         return [_pick_lift_row(world, scene, grasp, params, motion) for grasp in admitted]
 
 
-def _pick_lift_row(world: PhysicsWorld, scene: Scene, grasp: AdmittedGrasp, params: PickLiftParams, motion: MotionParams) -> Row:
+def _pick_lift_row(world: HandWorld, scene: Scene, grasp: AdmittedGrasp, params: PickLiftParams, motion: MotionParams) -> Row:
     label = f"{scene.scene_id}-g{grasp.grasp_id:02d}"
     opening_m = open_jaw_m(world.object_model.grasp(grasp.grasp_id).jaw_width_m)
     T_lifted_grasp = grasp.T_base_grasp.copy()
@@ -69,13 +75,11 @@ def _pick_lift_row(world: PhysicsWorld, scene: Scene, grasp: AdmittedGrasp, para
     approach_q = _line(label, grasp, fk(grasp.pregrasp_q_rad))[::-1]
     lift_q = _line(label, grasp, T_lifted_grasp)
 
-    world.rebuild(label, with_robot=True)
-    world.set_object(scene.T_base_object)
-    world.set_arm(grasp.pregrasp_q_rad, [opening_m / 2] * 2)
+    world.start_open(label, grasp.pregrasp_q_rad, opening_m / 2, scene.T_base_object)
     move(world, Phase.APPROACH, time_path(approach_q, motion, world.params.dt_s, stop_at_waypoints=False))
     push_m, _ = pose_difference(world.object_pose(), scene.T_base_object)
-    if push_m > params.max_approach_push_m:
-        return _row(scene, grasp, LiftStatus.DISTURBED)
+    if world.is_stopped or push_m > params.max_approach_push_m:
+        return _row(scene, grasp, LiftStatus.STOPPED if world.is_stopped else LiftStatus.DISTURBED)
     # Fingers that never both press are judged by what the lift shows.
     close_fingers(world, params.max_close_s)
     hold(world, Phase.CLOSE, params.squeeze_s)
@@ -87,7 +91,9 @@ def _pick_lift_row(world: PhysicsWorld, scene: Scene, grasp: AdmittedGrasp, para
     return _row(scene, grasp, _status(world, rise_m, slip, params), slip, world)
 
 
-def _status(world: PhysicsWorld, rise_m: float, slip: tuple[float, float], params: PickLiftParams) -> LiftStatus:
+def _status(world: HandWorld, rise_m: float, slip: tuple[float, float], params: PickLiftParams) -> LiftStatus:
+    if world.is_stopped:
+        return LiftStatus.STOPPED
     if rise_m < params.min_rise_m:
         return LiftStatus.NOT_LIFTED
     if pressing_fingers(world) < 2:
@@ -98,8 +104,9 @@ def _status(world: PhysicsWorld, rise_m: float, slip: tuple[float, float], param
 
 
 def _row(
-    scene: Scene, grasp: AdmittedGrasp, status: LiftStatus, slip: tuple[float, float] | None = None, world: PhysicsWorld | None = None
+    scene: Scene, grasp: AdmittedGrasp, status: LiftStatus, slip: tuple[float, float] | None = None, world: HandWorld | None = None
 ) -> Row:
+    """The state is that of the end: what an execution goes on from."""
     q, fingers_m = (None, (None, None)) if world is None else world.arm_state()
     slip_m, slip_rad = slip or (None, None)
     return {
@@ -127,7 +134,7 @@ def _line(label: str, grasp: AdmittedGrasp, T_end: Float[np.ndarray, "4 4"]) -> 
 def run(unit: Unit) -> UnitResult:
     """One admitted grasp."""
     start = time.process_time_ns()
-    params, motion, physics = unit.params(PickLiftParams), unit.params(MotionParams), unit.params(PhysicsParams)
+    params, motion, physics = unit.params(PickLiftParams), unit.params(MotionParams), unit.params(HandWorldParams)
     rows = pick_lift_rows(unit.object_model, unit.scene, unit.known.admitted, params, motion, physics)
     return UnitResult({"pick_lift": rows}, [timing_row("pick_lift", unit.item_id, start)])
 
@@ -136,12 +143,12 @@ STAGE = Stage(
     name="pick_lift",
     group="grasps",
     description="Executes each admitted grasp in physics: approach, close, lift, hold; keeps the measured state after the lift.",
-    code_version="2",
+    code_version="3",
     inputs=(SCENES, OBSTACLES, TARGETS, GRASP_ADMISSION),
     objects=("objects", "object_parts", "grasp_pool"),
     outputs=(PICK_LIFT,),
-    sections=(PickLiftParams, MotionParams, PhysicsParams),
-    engines=("pybullet", "frankik", "ruckig", "numpy", "scipy"),
+    sections=(PickLiftParams, MotionParams, HandWorldParams),
+    engines=("mujoco", "frankik", "ruckig", "numpy", "scipy"),
     run=run,
     law=laws.pick_lift_law,
     split="admitted",

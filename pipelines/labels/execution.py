@@ -15,8 +15,11 @@ from objects.gripper import open_jaw_m
 from objects.object_model import ObjectModel
 from pipelines import laws
 from pipelines.codecs import Row, pose_row
-from pipelines.engines.physics.rollout import Phase, RestWatch, Watch, hold, move, open_fingers, pose_difference, settle
-from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
+from pipelines.engines.physics.hand_model import HAND_PARTS
+from pipelines.engines.physics.hand_params import HandWorldParams
+from pipelines.engines.physics.hand_rollout import RestWatch, hold, move, open_fingers, settle
+from pipelines.engines.physics.hand_world import HandWorld
+from pipelines.engines.physics.phases import Phase, Watch, pose_difference
 from pipelines.engines.planning.trajectory import MotionParams, time_path
 from pipelines.labels.planning import PlanningParams, motion_of
 from pipelines.stage import Stage, Unit, UnitResult, timing_row
@@ -29,8 +32,8 @@ from tables.vocabulary import ExecStatus, Perturbation, Symmetry
 class ExecutionParams:
     """How a placement is executed and what counts as a valid end."""
 
-    hold_s: float = 0.05  # contacts of the rebuilt world find their forces before the arm moves
-    max_open_s: float = 0.3  # 12 mm a finger take 0.12 s at 0.1 m/s
+    hold_s: float = 0.05  # contacts find their forces before the arm moves: five relaxation times of the pads
+    max_open_s: float = 0.5  # 12 mm a finger take 0.24 s at 0.05 m/s
     # Between opening and retreat: the object drops the release height (some mm, 40 ms) and comes to rest or does not.
     release_wait_s: float = 0.1
     # The retreat ends once the object rests and the hand is this far away: from here the hand only moves further, on a line that was
@@ -60,23 +63,23 @@ class ExecutionSetup:
 
     execution: ExecutionParams
     motion: MotionParams
-    physics: PhysicsParams
+    physics: HandWorldParams
 
 
 def execution_rows(object_model: ObjectModel, planned: Sequence[tuple[Candidate, Motion]], setup: ExecutionSetup) -> Iterator[Row]:
     """Rows of `execution_labels` of one grasp, one a planned candidate, as they finish.
 
-    They share an engine, which takes 10 ms to start, and no state: the world is built anew for each.
+    They share compiled models, which take some milliseconds, and no state: every run starts from fresh data.
 
     Args:
         planned: candidates of one scene.
 
     Raises:
-        PhysicsError: the engine gave a pose that is not finite; names the candidate.
+        PhysicsError: the engine warned or gave a state that is not finite; names the candidate.
     """
     if not planned:
         return
-    with PhysicsWorld(object_model, planned[0][0].scene.obstacles, setup.physics) as world:
+    with HandWorld(object_model, planned[0][0].scene.obstacles, setup.physics) as world:
         for candidate, motion in planned:
             yield execute_candidate(world, candidate, motion, setup)
 
@@ -84,33 +87,42 @@ def execution_rows(object_model: ObjectModel, planned: Sequence[tuple[Candidate,
 def execute_perturbed(
     object_model: ObjectModel, candidate: Candidate, motion: Motion, perturbation: Perturbation, setup: ExecutionSetup
 ) -> Row:
-    """The row of one candidate under a change that ought not to matter: longer hold, finer steps, other friction, or none."""
-    params, physics = setup.execution, setup.physics
-    friction_scale = {Perturbation.FRICTION_UP: 1.05, Perturbation.FRICTION_DOWN: 0.95}.get(perturbation, 1.0)
-    if perturbation is Perturbation.HOLD:
-        params = dataclasses.replace(params, hold_s=0.10)
-    if perturbation is Perturbation.FINE_STEP:
-        # Twice the steps between checks too: what is measured is the step, not how often the outcome is looked at.
-        physics = dataclasses.replace(physics, dt_s=physics.dt_s / 2, check_every_steps=2 * physics.check_every_steps)
-        params = dataclasses.replace(params, max_settle_steps=2 * params.max_settle_steps)
-    with PhysicsWorld(object_model, candidate.scene.obstacles, physics, friction_scale) as world:
-        return execute_candidate(world, candidate, motion, ExecutionSetup(params, setup.motion, physics))
+    """The row of one candidate under a change that ought not to matter, or none."""
+    setup = perturbed_setup(setup, perturbation)
+    with HandWorld(object_model, candidate.scene.obstacles, setup.physics) as world:
+        return execute_candidate(world, candidate, motion, setup)
 
 
-def execute_candidate(world: PhysicsWorld, candidate: Candidate, motion: Motion, setup: ExecutionSetup, watch: Watch | None = None) -> Row:
+def perturbed_setup(setup: ExecutionSetup, perturbation: Perturbation) -> ExecutionSetup:
+    """A longer hold, half the step, other friction, another lever of the pads, or no change."""
+    changes: dict[Perturbation, dict[str, float]] = {
+        Perturbation.FINE_STEP: {"steps_per_tick": 2 * setup.physics.steps_per_tick},
+        Perturbation.FRICTION_UP: {"friction_scale": 1.05},
+        Perturbation.FRICTION_DOWN: {"friction_scale": 0.95},
+        Perturbation.PAD_LEVER_UP: {"pad_lever_scale": 1.15},
+        Perturbation.PAD_LEVER_DOWN: {"pad_lever_scale": 0.85},
+    }
+    physics = dataclasses.replace(setup.physics, **changes.get(perturbation, {}))  # type: ignore[arg-type]
+    execution = dataclasses.replace(setup.execution, hold_s=0.10) if perturbation is Perturbation.HOLD else setup.execution
+    return ExecutionSetup(execution, setup.motion, physics)
+
+
+def execute_candidate(world: HandWorld, candidate: Candidate, motion: Motion, setup: ExecutionSetup, watch: Watch | None = None) -> Row:
     """The row of one candidate, run in `world` from the post-lift state.
 
     Args:
-        watch: sees every phase every few steps (a trace, a film); cannot change the outcome.
+        watch: sees every phase every few ticks (a trace, a film); cannot change the outcome.
     """
     grasp, params = candidate.grasp, setup.execution
+    world.start_held(candidate.candidate_id, grasp.lifted_q_rad, grasp.fingers_m.tolist(), grasp.T_tcp_object)
     monitor = _Monitor(world, grasp.T_tcp_object, params, watch)
-    _start(world, candidate)
-    is_held = _carry(world, motion, setup, monitor)
+    _carry(world, motion, setup, monitor)
+    is_held = not monitor.is_dropped
+    is_let_go = is_held and not world.is_stopped
     T_release = world.object_pose()
-    drag_m = _let_go(world, grasp, motion, setup, monitor) if is_held else None
-    # From here on the arm touches nothing, or the object has left the hand: alone it settles at a tenth of the cost.
-    world.remove_robot()
+    drag_m = _let_go(world, grasp, motion, setup, monitor) if is_let_go else None
+    # From here on the hand touches nothing, or the object has left it: alone it settles at a third of the cost.
+    world.remove_hand()
     is_settled = settle(world, params.max_settle_steps, monitor.film)
     T_final = world.object_pose()
 
@@ -127,39 +139,32 @@ def execute_candidate(world: PhysicsWorld, candidate: Candidate, motion: Motion,
         "tolerance_margin": margin,
         "transport_slip_m": monitor.slip_m,
         "transport_slip_rad": monitor.slip_rad,
-        "release_position_error_m": release[0] if is_held else None,
-        "release_rotation_error_rad": release[1] if is_held else None,
+        "release_position_error_m": release[0] if is_let_go else None,
+        "release_rotation_error_rad": release[1] if is_let_go else None,
         "retreat_drag_m": drag_m,
         "n_physics_steps": world.n_steps,
         **pose_row("final", T_final),
     }
 
 
-def _start(world: PhysicsWorld, candidate: Candidate) -> None:
-    """The post-lift state from its saved numbers, gripping."""
-    grasp = candidate.grasp
-    world.rebuild(candidate.candidate_id, with_robot=True)
-    world.set_arm(grasp.lifted_q_rad, grasp.fingers_m.tolist())
-    world.set_object(grasp.T_base_lifted)
-    world.grip()
-
-
-def _carry(world: PhysicsWorld, motion: Motion, setup: ExecutionSetup, monitor: _Monitor) -> bool:
-    """Hold, transport and descend; False where the object was dropped on the way."""
+def _carry(world: HandWorld, motion: Motion, setup: ExecutionSetup, monitor: _Monitor) -> None:
+    """Hold, transport and descend, as far as the object stays in the hand and the hand meets nothing that stops it."""
     transport = time_path(motion.transport_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=True)
     descend = time_path(motion.descend_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=False)
-    return (
-        hold(world, Phase.HOLD, setup.execution.hold_s, monitor.carried)
-        and move(world, Phase.TRANSPORT, transport, monitor.carried)
-        and move(world, Phase.DESCEND, descend, monitor.carried)
+    is_carried = hold(world, Phase.HOLD, setup.execution.hold_s, monitor.carried) and move(
+        world, Phase.TRANSPORT, transport, monitor.carried
     )
+    monitor.end_transport()
+    if is_carried:
+        move(world, Phase.DESCEND, descend, monitor.carried)
+    monitor.is_dropped = monitor.is_dropped or world.is_lost
 
 
-def _let_go(world: PhysicsWorld, grasp: LiftedGrasp, motion: Motion, setup: ExecutionSetup, monitor: _Monitor) -> float:
+def _let_go(world: HandWorld, grasp: LiftedGrasp, motion: Motion, setup: ExecutionSetup, monitor: _Monitor) -> float:
     """Open and retreat; returns how far the object moved during the retreat, in metres."""
     width_m = world.object_model.grasp(grasp.grasp_id).jaw_width_m
-    open_fingers(world, open_jaw_m(width_m), setup.execution.max_open_s, monitor.released)
-    hold(world, Phase.OPEN, setup.execution.release_wait_s, monitor.released)
+    open_fingers(world, open_jaw_m(width_m), setup.execution.max_open_s, monitor.film)
+    hold(world, Phase.OPEN, setup.execution.release_wait_s, monitor.film)
     T_opened = world.object_pose()
     retreat = time_path(motion.retreat_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=False)
     monitor.rest = RestWatch(world)
@@ -169,35 +174,35 @@ def _let_go(world: PhysicsWorld, grasp: LiftedGrasp, motion: Motion, setup: Exec
 
 @dataclass(slots=True)
 class _Monitor:
-    """What is measured on the way, every few steps."""
+    """What is measured on the way, every few ticks; collision impulses are summed by the world itself, every step."""
 
-    world: PhysicsWorld
+    world: HandWorld
     T_tcp_object: Float[np.ndarray, "4 4"]
     params: ExecutionParams
     watch: Watch | None
     slip_m: float = 0.0
     slip_rad: float = 0.0
-    impulse_n_s: float = 0.0
+    is_dropped: bool = False
     is_touched_in_retreat: bool = False
+    table_impulse_n_s: float = 0.0
     rest: RestWatch | None = None
 
     def carried(self, phase: Phase) -> bool:
-        """Slip and collisions while the object is held; True once it is dropped."""
+        """Slip while the object is held; True once it is dropped."""
         slip_m, slip_rad = pose_difference(self.T_tcp_object, self.world.inhand_pose())
         self.slip_m, self.slip_rad = max(self.slip_m, slip_m), max(self.slip_rad, slip_rad)
-        # The end of the descend sets the object down on the table: only what it hits on the way there is a collision.
-        self._collide("object", "obstacles" if phase is Phase.DESCEND else "everything")
-        self._collide("robot", "everything")
+        self.is_dropped = self.is_dropped or slip_m > self.params.dropped_m
         self.film(phase)
-        return slip_m > self.params.dropped_m
+        return self.is_dropped
+
+    def end_transport(self) -> None:
+        """The end of the descend sets the object down on the table: only what it met of the table up to here is a collision."""
+        self.table_impulse_n_s = self.world.impulse_n_s("object", "table")
 
     def released(self, phase: Phase) -> bool:
-        """Collisions of the arm, and whether it still touches the object while it retreats; True once it cannot any more."""
-        self._collide("robot", "everything")
+        """Whether the hand still touches the object while it retreats; True once it cannot any more."""
         self.film(phase)
-        if phase is not Phase.RETREAT:
-            return False
-        self.is_touched_in_retreat = self.is_touched_in_retreat or self.world.force_n("robot", "object") > 0.0
+        self.is_touched_in_retreat = self.is_touched_in_retreat or any(self.world.touching(part) for part in HAND_PARTS)
         return self.rest is not None and self.rest.is_at_rest() and self.world.is_clear(self.params.clear_gap_m)
 
     def film(self, phase: Phase) -> bool:
@@ -205,15 +210,15 @@ class _Monitor:
             self.watch(phase)
         return False
 
-    def _collide(self, body: str, others: str) -> None:
-        seconds = self.world.params.check_every_steps * self.world.params.dt_s
-        for name in self.world.fixed_bodies[0 if others == "everything" else 1 :]:
-            self.impulse_n_s += self.world.force_n(body, name) * seconds
+    def collision_impulse_n_s(self) -> float:
+        """Of the hand with table and obstacles, of the object with obstacles, and with the table before it was set down."""
+        hand = sum(self.world.impulse_n_s("robot", name) for name in self.world.fixed_bodies)
+        return hand + self.table_impulse_n_s + sum(self.world.impulse_n_s("object", name) for name in self.world.fixed_bodies[1:])
 
 
 @dataclass(frozen=True, slots=True)
 class _Ending:
-    """How an execution ended; `drag_m` is None where the object was lost before the release."""
+    """How an execution ended; `drag_m` is None where the hand never let go."""
 
     is_held: bool
     is_settled: bool
@@ -223,15 +228,16 @@ class _Ending:
     drag_m: float | None
 
 
-def _status(world: PhysicsWorld, params: ExecutionParams, monitor: _Monitor, end: _Ending) -> ExecStatus:
-    """A drop or a collision fails whatever the end; every other status says why the end is not valid."""
-    is_collided = monitor.impulse_n_s > params.collision_impulse_n_s
-    if end.is_held and not is_collided and end.is_settled and end.margin >= 0.0:
+def _status(world: HandWorld, params: ExecutionParams, monitor: _Monitor, end: _Ending) -> ExecStatus:
+    """A drop, a protective stop or a collision fails whatever the end; every other status says why the end is not valid."""
+    is_collided = monitor.collision_impulse_n_s() > params.collision_impulse_n_s
+    if end.is_held and not world.is_stopped and not is_collided and end.is_settled and end.margin >= 0.0:
         return ExecStatus.SUCCESS
     (x0, x1), (y0, y1) = world.params.table_x_m, world.params.table_y_m
     x, y, z = end.T_final[:3, 3]
     reasons = (
         (not end.is_held, ExecStatus.DROPPED),
+        (world.is_stopped, ExecStatus.STOPPED),
         (monitor.slip_m > params.slipped_m or monitor.slip_rad > params.slipped_rad, ExecStatus.SLIPPED),
         (is_collided, ExecStatus.COLLIDED),
         (not (x0 < x < x1 and y0 < y < y1 and z > 0.0), ExecStatus.OFF_TABLE),
@@ -260,7 +266,7 @@ def _tilt_rad(object_model: ObjectModel, T_a: Float[np.ndarray, "4 4"], T_b: Flo
 
 def run(unit: Unit) -> UnitResult:
     """The planned candidates of one lifted grasp."""
-    setup = ExecutionSetup(unit.params(ExecutionParams), unit.params(MotionParams), unit.params(PhysicsParams))
+    setup = ExecutionSetup(unit.params(ExecutionParams), unit.params(MotionParams), unit.params(HandWorldParams))
     rows, timings, start = [], [], time.process_time_ns()
     planning, plans = unit.params(PlanningParams), unit.known.plans
     planned = [(c, motion_of(c, plans[c.candidate_id], planning)) for c in unit.known.candidates if c.candidate_id in plans]
@@ -277,12 +283,12 @@ STAGE = Stage(
     name="execution_labels",
     group="labels",
     description="Executes every plan in physics from the measured post-lift state and validates the final object pose.",
-    code_version="2",
+    code_version="3",
     inputs=(SCENES, OBSTACLES, TARGETS, PICK_LIFT, CANDIDATE_PAIRS, PLANNING_LABELS, PLANS),
     objects=("objects", "object_parts", "grasp_pool"),
     outputs=(EXECUTION_LABELS,),
-    sections=(ExecutionParams, PlanningParams, MotionParams, PhysicsParams),
-    engines=("pybullet", "frankik", "ruckig", "numpy", "scipy"),
+    sections=(ExecutionParams, PlanningParams, MotionParams, HandWorldParams),
+    engines=("mujoco", "frankik", "ruckig", "numpy", "scipy"),
     run=run,
     law=laws.execution_labels_law,
     split="lifted",

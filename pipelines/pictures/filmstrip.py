@@ -9,8 +9,8 @@ from jaxtyping import Float, UInt8
 
 from objects.object_model import ObjectModel
 from pipelines.codecs import Row
-from pipelines.engines.physics.rollout import Phase
-from pipelines.engines.physics.world import PhysicsWorld
+from pipelines.engines.physics.hand_world import HandWorld
+from pipelines.engines.physics.phases import Phase
 from pipelines.labels.execution import ExecutionSetup, execute_candidate
 from pipelines.pictures.renderer import Renderer
 from pipelines.pictures.views import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, picture_view, shrunk
@@ -44,7 +44,7 @@ def render_execution_frames(
     Returns:
         The row of `execution_labels`, and `n_frames` frames.
     """
-    with PhysicsWorld(object_model, candidate.scene.obstacles, setup.physics) as world:
+    with HandWorld(object_model, candidate.scene.obstacles, setup.physics) as world:
         film = _Film(world)
         row = execute_candidate(world, candidate, motion, setup, film.watch)
     picked = np.unique(np.linspace(0, len(film.states) - 1, n_frames).round().astype(int))
@@ -62,7 +62,7 @@ class _State:
 
 @dataclass(slots=True)
 class _Film:
-    world: PhysicsWorld
+    world: HandWorld
     states: list[_State] = field(default_factory=list)
 
     def watch(self, phase: Phase) -> bool:

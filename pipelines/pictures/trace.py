@@ -14,15 +14,15 @@ from jaxtyping import Float, Int
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from pipelines.engines.physics.rollout import Phase
-from pipelines.engines.physics.world import PhysicsWorld
+from pipelines.engines.physics.hand_world import HandWorld
+from pipelines.engines.physics.phases import Phase
 from tables.poses import matrix_of, pose_of
 
 _NUMBERS = {"type": "array", "items": {"type": "number"}}
 _SCHEMAS: dict[str, dict[str, Any]] = {
     "joint_states": {"q_rad": _NUMBERS, "fingers_m": _NUMBERS},
     "object_pose": {"position_m": _NUMBERS, "quaternion_xyzw": _NUMBERS},
-    "contacts": {"n_robot_object": {"type": "integer"}, "robot_object_n": {"type": "number"}, "object_fixed_n": {"type": "number"}},
+    "contacts": {"robot_object_n": {"type": "number"}, "object_fixed_n": {"type": "number"}},
     "phase": {"phase": {"type": "string", "enum": [phase.value for phase in Phase]}},
 }
 _METADATA = "execution"
@@ -34,9 +34,9 @@ class TraceError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """An execution, sample by sample; arm and fingers are NaN after the arm was taken out of the world.
+    """An execution, sample by sample; arm and fingers are NaN after the hand was taken out of the world.
 
-    Contact forces are normal forces in newton: of the hand on the object, and of table and obstacles on the object.
+    Contact forces are net forces of each pair in newton: of the hand on the object, and of table and obstacles on the object.
     """
 
     metadata: dict[str, str]
@@ -46,7 +46,6 @@ class Trace:
     q_rad: Float[np.ndarray, "n 7"]
     fingers_m: Float[np.ndarray, "n 2"]
     T_base_object: Float[np.ndarray, "n 4 4"]
-    n_robot_object: Int[np.ndarray, "n"]
     robot_object_n: Float[np.ndarray, "n"]
     object_fixed_n: Float[np.ndarray, "n"]
 
@@ -60,7 +59,7 @@ class TraceRecorder:
         metadata: what identifies the execution, for example its candidate id.
     """
 
-    def __init__(self, path: Path, world: PhysicsWorld, metadata: Mapping[str, str]) -> None:
+    def __init__(self, path: Path, world: HandWorld, metadata: Mapping[str, str]) -> None:
         self._path, self._world, self._metadata = path, world, dict(metadata)
 
     def __enter__(self) -> Self:
@@ -91,7 +90,6 @@ class TraceRecorder:
         self._write("object_pose", {"position_m": pose[:3], "quaternion_xyzw": pose[3:]})
         fixed_n = sum(world.force_n("object", name) for name in world.fixed_bodies)
         contacts = {
-            "n_robot_object": world.n_contacts("robot", "object"),
             "robot_object_n": world.force_n("robot", "object"),
             "object_fixed_n": fixed_n,
         }
@@ -135,7 +133,6 @@ def read_trace(path: Path) -> Trace:
         q_rad=np.array([joint["q_rad"] for joint in joints]).reshape(-1, 7),
         fingers_m=np.array([joint["fingers_m"] for joint in joints]).reshape(-1, 2),
         T_base_object=matrix_of(np.array(poses).reshape(-1, 7)),
-        n_robot_object=np.array([sample["contacts"]["n_robot_object"] for sample in ordered], dtype=np.int64),
         robot_object_n=np.array([sample["contacts"]["robot_object_n"] for sample in ordered]),
         object_fixed_n=np.array([sample["contacts"]["object_fixed_n"] for sample in ordered]),
     )

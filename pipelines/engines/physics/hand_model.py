@@ -27,6 +27,7 @@ from tables.poses import pose_of
 from tables.vocabulary import Symmetry
 
 FINGERS = ("panda_leftfinger", "panda_rightfinger")
+HAND_PARTS = ("panda_hand", *FINGERS)
 SLIDES = ("hand_x", "hand_y", "hand_z")
 # The hand that slides is driven, not pushed: this heavy, contacts move it by nanometres in a tick, and each tick starts on the path.
 HAND_MASS_KG = 1e4
@@ -71,9 +72,7 @@ class SceneModel:
     hand_geoms: frozenset[int]
 
 
-def build_model(
-    object_model: ObjectModel, obstacles: Sequence[Obstacle], params: HandWorldParams, carrier: Carrier
-) -> SceneModel:
+def build_model(object_model: ObjectModel, obstacles: Sequence[Obstacle], params: HandWorldParams, carrier: Carrier) -> SceneModel:
     """Compile one model.
 
     Raises:
@@ -143,7 +142,7 @@ def _xml(object_model: ObjectModel, obstacles: Sequence[Obstacle], params: HandW
         for name in fixed_bodies(obstacles):
             _add_force(sensors, f"robot {name}", history, subtree1="panda_hand", geom2=name)
         _add_force(sensors, "robot anything", history, subtree1="panda_hand")
-        for name in ("panda_hand", *FINGERS):
+        for name in HAND_PARTS:
             _add_force(sensors, name, "0", body1=name, body2="object")
     return ET.tostring(root, encoding="unicode")
 
@@ -158,7 +157,13 @@ def _add_environment(world: ET.Element, object_model: ObjectModel, obstacles: Se
     body = ET.SubElement(world, "body", name="environment", mocap="true")
     mu = params.table_friction * object_model.friction * params.friction_scale
     rolls = object_model.symmetry is not Symmetry.BOX
-    surface = {"condim": "6" if rolls else "3", "friction": _text([mu, 1e-5, params.rolling_friction_m]), "priority": "1", **_ENVIRONMENT, **_TABLE}
+    surface = {
+        "condim": "6" if rolls else "3",
+        "friction": _text([mu, 1e-5, params.rolling_friction_m]),
+        "priority": "1",
+        **_ENVIRONMENT,
+        **_TABLE,
+    }
     (x0, x1), (y0, y1), thickness = params.table_x_m, params.table_y_m, params.table_thickness_m
     ET.SubElement(
         body,
@@ -172,7 +177,9 @@ def _add_environment(world: ET.Element, object_model: ObjectModel, obstacles: Se
     for obstacle in obstacles:
         pose = pose_of(obstacle.T_base_obstacle)
         name = f"obstacle {obstacle.obstacle_id}"
-        ET.SubElement(body, "geom", name=name, type="box", pos=_text(pose[:3]), quat=_wxyz(pose), size=_text(obstacle.size_m / 2), **surface)
+        ET.SubElement(
+            body, "geom", name=name, type="box", pos=_text(pose[:3]), quat=_wxyz(pose), size=_text(obstacle.size_m / 2), **surface
+        )
 
 
 def _add_object(asset: ET.Element, world: ET.Element, object_model: ObjectModel) -> None:
@@ -249,7 +256,9 @@ def _add_finger_geoms(
         if is_pad:
             for c, (u, w) in enumerate(cells.points_m):
                 centre = _text([x + u, side * (PAD_FACE_M + cells.radius_m), z + w])
-                ET.SubElement(finger, "geom", name=f"{name} cell {c}", type="sphere", size=repr(cells.radius_m), pos=centre, **surfaces["cell"])
+                ET.SubElement(
+                    finger, "geom", name=f"{name} cell {c}", type="sphere", size=repr(cells.radius_m), pos=centre, **surfaces["cell"]
+                )
             y, sy = y + protrusion_m / 2, sy - protrusion_m
         box = {"pos": _text([x, side * y, z]), "size": _text([sx / 2, sy / 2, sz / 2])}
         ET.SubElement(finger, "geom", name=f"{name} {k}", type="box", **box, **surfaces["pad" if is_pad else "bare"])

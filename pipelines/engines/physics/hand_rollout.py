@@ -10,7 +10,7 @@ import numpy as np
 from pipelines.engines.physics.hand_model import FINGERS
 from pipelines.engines.physics.hand_motion import hand_motion
 from pipelines.engines.physics.hand_world import HandWorld
-from pipelines.engines.physics.rollout import Phase, Watch, no_watch, pose_difference
+from pipelines.engines.physics.phases import Phase, Watch, no_watch, pose_difference
 from pipelines.engines.planning.trajectory import Trajectory
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 from objects.object_model import ObjectModel
 from pipelines.engines.physics.errors import PhysicsError
-from pipelines.engines.physics.hand_model import FINGERS, HAND_MASS_KG, Carrier, SceneModel, build_model, fixed_bodies
+from pipelines.engines.physics.hand_model import HAND_MASS_KG, HAND_PARTS, Carrier, SceneModel, build_model, fixed_bodies
 from pipelines.engines.physics.hand_motion import HandMotion
 from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.engines.robot.arm import fk
@@ -71,9 +71,7 @@ class HandWorld:
         self._put_object(inverse(self._T_base_frame) @ T_base_object)
         self.command_fingers(0.0)
 
-    def start_held(
-        self, label: str, q: Float[np.ndarray, "7"], fingers_m: Sequence[float], T_tcp_object: Float[np.ndarray, "4 4"]
-    ) -> None:
+    def start_held(self, label: str, q: Float[np.ndarray, "7"], fingers_m: Sequence[float], T_tcp_object: Float[np.ndarray, "4 4"]) -> None:
         """A hold as it was when these numbers were measured."""
         self._begin(label, q)
         self._enter(Carrier.REST_FRAME)
@@ -126,7 +124,7 @@ class HandWorld:
         self._kept = [tuple(name.split(" ", 1)) for name in kept]
         starts = np.array([sensors[0][at.sensor_adr[name]] + 2 + n for name in kept], dtype=np.int64)
         self._history = starts[:, None, None] + np.arange(n)[:, None] * 3 + np.arange(3)
-        touch = [int(self._model.sensor_adr[at.sensor_adr[name]]) for name in ("panda_hand", *FINGERS) if name in at.sensor_adr]
+        touch = [int(self._model.sensor_adr[at.sensor_adr[name]]) for name in HAND_PARTS if name in at.sensor_adr]
         self._touch = np.array(touch, dtype=np.int64)[:, None] + np.arange(3)
 
     def _change(self, carrier: Carrier) -> None:
@@ -332,6 +330,12 @@ class HandWorld:
     def impulse_n_s(self, body: str, other: str) -> float:
         """Contact impulse between "object" or "robot" and table or an obstacle since the start: the force's size summed over every step."""
         return self._impulse[body, other]
+
+    def force_n(self, body: str, other: str) -> float:
+        """Size of the net contact force of the last step: of "object" or "robot" with table or an obstacle, or of "robot" with "object"."""
+        names = HAND_PARTS if (body, other) == ("robot", "object") else (f"{body} {other}",)
+        addresses = [int(self._model.sensor_adr[self._at.sensor_adr[name]]) for name in names if name in self._at.sensor_adr]
+        return float(sum(np.linalg.norm(self._data.sensordata[a : a + 3]) for a in addresses))
 
     def touching(self, part: str) -> bool:
         """Whether a part of the hand ("panda_hand" or a finger) pressed on the object in the last step."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from pipelines.engines.physics.rollout import Phase, hold, pose_difference, settle
+from pipelines.engines.physics.phases import Phase, pose_difference
+from pipelines.engines.physics.rollout import hold, settle
 from pipelines.engines.physics.world import PhysicsWorld
 
 

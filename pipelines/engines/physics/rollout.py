@@ -2,38 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from enum import StrEnum
-
-import numpy as np
-from jaxtyping import Float
-
+from pipelines.engines.physics.phases import Phase, Watch, no_watch, pose_difference
 from pipelines.engines.physics.world import FINGER_LINKS, PhysicsWorld
 from pipelines.engines.planning.trajectory import Trajectory
-from tables.poses import rotation_angle_rad
-
-
-class Phase(StrEnum):
-    """What the arm is doing."""
-
-    APPROACH = "approach"
-    CLOSE = "close"
-    LIFT = "lift"
-    HOLD = "hold"
-    TRANSPORT = "transport"
-    DESCEND = "descend"
-    OPEN = "open"
-    RETREAT = "retreat"
-    SETTLE = "settle"
-
-
-# Called every `check_every_steps` steps; True ends the motion.
-Watch = Callable[[Phase], bool]
-
-
-def no_watch(phase: Phase) -> bool:
-    """Watch nothing."""
-    return False
 
 
 def move(world: PhysicsWorld, phase: Phase, trajectory: Trajectory, watch: Watch = no_watch) -> bool:
@@ -130,11 +101,6 @@ class RestWatch:
 def pressing_fingers(world: PhysicsWorld) -> int:
     """Number of fingers that press on the object: 0, 1 or 2."""
     return sum(world.force_n("robot", "object", link) > 0.0 for link in FINGER_LINKS)
-
-
-def pose_difference(T_a: Float[np.ndarray, "4 4"], T_b: Float[np.ndarray, "4 4"]) -> tuple[float, float]:
-    """Distance of the origins in metres and angle between the axes in radians."""
-    return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])), float(rotation_angle_rad(T_a[:3, :3], T_b[:3, :3]))
 
 
 def n_steps_of(world: PhysicsWorld, duration_s: float) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipelines.codecs import Row, pose_in
-from pipelines.engines.physics.rollout import Phase
+from pipelines.engines.physics.phases import Phase
 from pipelines.engines.physics.world import PhysicsWorld
 from pipelines.engines.robot.arm import fk, follow_line
 from pipelines.labels.execution import ExecutionParams, ExecutionSetup, execute_candidate, execute_perturbed, execution_rows

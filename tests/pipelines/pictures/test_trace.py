@@ -9,7 +9,7 @@ import pytest
 from mcap.writer import Writer
 
 from pipelines.codecs import Row, pose_in
-from pipelines.engines.physics.rollout import Phase
+from pipelines.engines.physics.phases import Phase
 from pipelines.engines.physics.world import PhysicsWorld
 from pipelines.labels.execution import ExecutionParams, ExecutionSetup, execute_candidate
 from pipelines.pictures.trace import TraceError, TraceRecorder, read_trace

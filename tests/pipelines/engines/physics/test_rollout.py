@@ -8,17 +8,8 @@ import numpy as np
 import pybullet
 import pytest
 
-from pipelines.engines.physics.rollout import (
-    Phase,
-    close_fingers,
-    hold,
-    move,
-    n_steps_of,
-    open_fingers,
-    pose_difference,
-    pressing_fingers,
-    settle,
-)
+from pipelines.engines.physics.phases import Phase, pose_difference
+from pipelines.engines.physics.rollout import close_fingers, hold, move, n_steps_of, open_fingers, pressing_fingers, settle
 from pipelines.engines.physics.world import PhysicsWorld
 from pipelines.engines.planning.trajectory import time_path
 from pipelines.engines.robot.arm import HOME_Q_RAD
