@@ -28,7 +28,7 @@ from assets_def.partitions import (
 )
 from assets_def.resources import Benchmark
 from assets_def.tier_tables import publish_tier_table
-from model.inputs import FIVE_INPUTS, FORBIDDEN_COLUMNS
+from model.checkpoint import input_errors
 from model.scoring import decision_times, score
 from model.settings import Variant, settings_named
 from model.training import train
@@ -52,7 +52,14 @@ SETTING_OF_TIER = {"mini": "light", "pilot": "light", "full": "full"}
             kinds={"pytorch"},
         )
     ],
-    check_specs=[AssetCheckSpec("consistent", asset="ranker", blocking=True, description="No input is known only after planning.")],
+    check_specs=[
+        AssetCheckSpec(
+            "consistent",
+            asset="ranker",
+            blocking=True,
+            description="The columns recorded in the checkpoint are the five inputs and their keys: none is known only after planning.",
+        )
+    ],
     partitions_def=ranker_partitions,
 )
 def ranker(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
@@ -72,8 +79,7 @@ def ranker(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[Mat
     }
     weights = next(out_dir.glob("*.safetensors"))
     yield MaterializeResult("ranker", metadata=metadata, data_version=DataVersion(file_sha256(weights)))
-    used = {column for tables in FIVE_INPUTS.values() for columns in tables.values() for column in columns}
-    yield consistency_result("ranker", [f"{column}: known only after planning" for column in sorted(used & FORBIDDEN_COLUMNS)])
+    yield consistency_result("ranker", input_errors(out_dir))
 
 
 @multi_asset(

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import typing
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-
-class RankerError(ValueError):
-    """Base of every error this package raises on purpose."""
-
-
-class SettingsError(RankerError):
-    """A setting that cannot be; names field, value and bound."""
+from model.errors import SettingsError
 
 
 class Variant(StrEnum):
@@ -74,6 +69,10 @@ class RankerSettings:
     n_cpu_threads: int = 0  # 0 leaves it to torch: on CUDA it decides nothing
 
     def __post_init__(self) -> None:
+        for field, value in asdict(self).items():
+            numbers = value if isinstance(value, tuple) else (value,)
+            if not all(math.isfinite(number) for number in numbers if isinstance(number, float)):
+                raise SettingsError(f"{field}: {value}, must be finite")
         for field in _POSITIVE:
             value = getattr(self, field)
             if not value > 0:
@@ -142,6 +141,12 @@ def variant_named(name: str) -> Variant:
         return Variant(name)
     except ValueError:
         raise SettingsError(f"variant {name!r}, must be one of {[v.value for v in Variant]}") from None
+
+
+def check_seed(seed: int) -> None:
+    """Raise SettingsError on a seed that the `predictions` table, where it is a 32-bit number, cannot hold."""
+    if not isinstance(seed, int) or isinstance(seed, bool) or not -(2**31) <= seed < 2**31:
+        raise SettingsError(f"seed: {seed!r}, must be a whole number in [{-(2**31)}, {2**31 - 1}]")
 
 
 def settings_to_dict(settings: RankerSettings) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from model.settings import LIGHT, RankerSettings
+from model.training import train
 from tests.model.synthetic_release import write_synthetic_release
 
 TINY = replace(
@@ -34,3 +35,9 @@ def tiny() -> RankerSettings:
 def small_release(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Five scenes: three to train on, one validation, one test."""
     return write_synthetic_release(tmp_path_factory.mktemp("small"), n_scenes=5, seed=3, n_points=160)
+
+
+@pytest.fixture(scope="session")
+def checkpoint(small_release: Path, tiny: RankerSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A full ranker of seed 7, trained on `small_release`; damage copies of it."""
+    return train(small_release, "full", 7, tiny, tmp_path_factory.mktemp("checkpoint")).checkpoint_dir
