@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-import hashlib
-import json
 from collections.abc import Callable
 from contextlib import closing
 from typing import Any
 
 from objects.build import ObjectParams, ObjectTables, build_object
-from objects.catalogue import ObjectSpec, load_catalogue
+from objects.catalogue import ObjectSpec, catalogue_hash, load_catalogue
 from pipelines.recipe import Recipe
 from pipelines.running.data_root import OBJECT_TABLES, DataRoot
 from pipelines.running.workers import run_units
@@ -31,9 +28,8 @@ def make_object_tables(root: DataRoot, recipe: Recipe, n_workers: int, log: Call
         ObjectTablesError: at least one object failed; nothing is published then.
     """
     specs = load_catalogue()
-    catalogue = json.dumps([dataclasses.asdict(spec) for spec in specs], sort_keys=True, default=str)
     made_from = {
-        "catalogue": hashlib.sha256(catalogue.encode()).hexdigest(),
+        "catalogue": catalogue_hash(specs),
         "recipe": recipe.hash_of("objects"),
         "code": OBJECT_CODE_VERSION,
     }
