@@ -65,8 +65,9 @@ lifted grasp counts as uncovered."""
 _ABOUT_TABLES = """Poses are seven columns: metres and a unit quaternion xyzw; the prefix names the pose. Everything is in the robot base
 frame (z up, table top at z = 0) unless its meaning says otherwise. `timings` were measured once and are no part of the release hash."""
 
-_CHECKING = """`python -m splits.release verify DIR` recomputes every checksum, checks every schema, and looks for impossible labels and
-for leaks between splits. `manifest.json` was written last: without it a release is not complete."""
+_CHECKING = """`python -m splits.release verify DIR` recomputes every checksum, checks every schema, and looks for impossible labels, for
+leaks between splits and for files that do not belong here. `manifest.json` was written last: without it a release is not complete. It
+lists size and SHA-256 of every other file, and in `manifest_sha256` the SHA-256 of its own other fields."""
 
 
 def render_card(tables: Mapping[str, pa.Table], facts: Mapping[str, str]) -> str:
