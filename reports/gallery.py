@@ -178,6 +178,7 @@ def _gripper_glyph(jaw_m: float, thickness: float = 0.25) -> TriangleMesh:
             placed[2, 3] += size[2] / 2 - extents[2] / 2
         parts.append(trimesh.creation.box(extents=extents, transform=placed))
     glyph = trimesh.util.concatenate(parts)
+    assert isinstance(glyph, trimesh.Trimesh)
     return TriangleMesh(np.asarray(glyph.vertices), np.asarray(glyph.faces, dtype=np.int64))
 
 

@@ -210,5 +210,5 @@ def _effective_units(n_hits: Float[np.ndarray, "s"], n_units: Float[np.ndarray, 
     hits, units = np.append(n_hits, mean_units / 2), np.append(n_units, mean_units)
     value, total = hits.sum() / units.sum(), units.sum()
     between_scenes = len(units) / (len(units) - 1) * float(np.sum((hits - value * units) ** 2)) / total**2
-    design_effect = max(1.0, between_scenes * total / (value * (1.0 - value)))
+    design_effect = max(1.0, float(between_scenes * total / (value * (1.0 - value))))
     return n / design_effect * (_Z95 / float(stats.t.ppf(0.975, n_scenes - 1))) ** 2

@@ -186,7 +186,7 @@ def _turn_rad(R_a: Float[np.ndarray, "*n 3 3"], R_b: Float[np.ndarray, "*n 3 3"]
         return np.asarray(np.arctan2(np.linalg.norm(np.cross(z_a, z_b), axis=-1), np.sum(z_a * z_b, axis=-1)))
     half_turns = [(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (-1.0, -1.0, 1.0)]
     kept = half_turns if symmetry is Symmetry.BOX else half_turns[:1]
-    return np.min([rotation_angle_rad(R_a * np.array(signs), R_b) for signs in kept], axis=0)
+    return np.asarray(np.min([rotation_angle_rad(R_a * np.array(signs), R_b) for signs in kept], axis=0))
 
 
 def _is_matching(is_close: Bool[np.ndarray, "m n"]) -> bool:
