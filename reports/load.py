@@ -60,7 +60,7 @@ def load_release(directory: Path, names: Sequence[str] | None = None) -> dict[st
 
 
 def candidate_frame(tables: Mapping[str, pa.Table], seed: int) -> pl.DataFrame:
-    """One row a candidate: labels, split, resting pose of its target, endpoint features, and a random order that is its own.
+    """One row a candidate: labels, split, resting pose of its target, endpoint features, and a random order that follows from its id.
 
     Columns beyond those of `candidates`: `split`, `resting`, `ik_feasible`, `gripper_free`, `success` (planned and executed validly)
     and `hash_order`, which breaks every tie, so that the order of rows never decides anything.

@@ -1,4 +1,4 @@
-"""The README of a release, rendered from its tables so that no number in it can be stale; writing it is release's business."""
+"""The README of a release, rendered from its tables so that no number in it can be stale; release.py writes it."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def render_card(tables: Mapping[str, pa.Table], facts: Mapping[str, str]) -> str
     """Markdown of the data card.
 
     Args:
-        tables: the release's tables by name.
+        tables: all tables of the release, by name.
         facts: what the tables do not say: `tier`, `version`, `schema_version`, `licence`, `release_hash`, `scenes_of_tier`, provenance.
     """
     frames = {name: frame_of(tables[name]) for name in ("candidates", "splits", "scenes", "targets", "grasps", "objects")}

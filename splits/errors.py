@@ -1,4 +1,4 @@
-"""The error of a release; what is checked, and when, is decided in manifest, release_folder, release and release_reader."""
+"""The error that every check of a release raises, and how a value is shown in it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Checks of single fields that came from a file and may hold anything: each raises ReleaseError with the field, its value and the bound."""
+"""Checks of single fields that came from a file and may hold anything.
+
+Each takes the name of the field and its value, and raises ReleaseError with both and the bound where the sentence below does not hold.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ def check_equal(name: str, value: object, expected: str) -> None:
 
 
 def check_count(name: str, value: object) -> None:
-    """The field is a whole number of at least 0; True is no number."""
+    """The field is a whole number of at least 0; True and False do not count as numbers."""
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
         raise ReleaseError(f"{name} {shown(value)}, must be a whole number of at least 0")
 

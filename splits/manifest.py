@@ -1,4 +1,4 @@
-"""The manifest of a release: what it says, how it proves itself, how it is read; the files it lists are release_folder's business.
+"""The manifest of a release: what it says, how it proves itself, how it is read; release_folder.py checks the files that it lists.
 
 `manifest.json` states the SHA-256 of its own content (see `content_sha256`), so that an edit of any field is found before anything
 that the field says is believed. Checks run in this order: JSON, own hash, versions, keys, types and values, the exact text.

@@ -1,4 +1,4 @@
-"""Poses that are none: seven numbers whose quaternion does not have length 1; whether a pose makes sense is asked elsewhere."""
+"""Rows whose pose is no pose because its quaternion does not have length 1; whether a pose makes sense is not looked at here."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What made a release: the commit of the code and the versions of the libraries, found out here; the facts a release must state.
+"""What made a release: the commit of the code, the versions of the libraries, and the facts that every release must state.
 
-Hashes of recipe and catalogue are computed where recipe and catalogue are parsed, in pipelines/recipe.py and objects/catalogue.py.
+The hashes of recipe and catalogue are computed where they are parsed, in pipelines/recipe.py and objects/catalogue.py.
 """
 
 from __future__ import annotations

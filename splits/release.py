@@ -1,4 +1,4 @@
-"""A release: tables, data card and manifest in one folder, written so that half a release never looks whole, and the check of it.
+"""A release: tables, data card and manifest in one folder, written so that half a release never looks whole, and how it is verified.
 
 python -m splits.release verify DIR
 """
@@ -76,8 +76,8 @@ def write_release(
         rotation_tolerance_rad: tolerance the labels were judged by.
 
     Raises:
-        ReleaseError: a table missing or unknown, a scene of another tier, a version, tolerance or provenance that is none, an
-            impossible label, a leak, or a folder that holds something else.
+        ReleaseError: a table missing or unknown, a scene of another tier, a malformed version, tolerance or provenance, an
+            impossible pose or label, a leak, or a folder that holds something else.
         SchemaError: a table that is not what its schema says.
     """
     check_versions(SCHEMA_VERSION, version)

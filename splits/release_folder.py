@@ -1,6 +1,6 @@
-"""The files of a release folder beside its manifest: which there are, their sizes and checksums, one table of them; no value is judged.
+"""The files of a release folder compared with its manifest: which there are, their sizes, checksums and columns.
 
-What a manifest says is checked in manifest, what the tables say in release.
+manifest.py checks what the manifest says, release.py what the tables say.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def check_nothing_else(directory: Path, manifest: Manifest) -> None:
 
 
 def check_files(directory: Path, manifest: Manifest, *, hashes: bool) -> None:
-    """Raise ReleaseError where a listed file is missing, is no file or has another size; with `hashes`, or another SHA-256."""
+    """Raise ReleaseError where a listed file is missing, is not a file, has another size, or (with `hashes`) another SHA-256."""
     for name, entry in sorted(manifest.files.items()):
         path = directory / name
         try:
@@ -60,7 +60,7 @@ def read_released_table(directory: Path, manifest: Manifest, name: str, *, verif
         verify: also check every value against the schema, and the hash of all values.
 
     Raises:
-        ReleaseError: no such table in the release or in this code, or anything in it that is not so.
+        ReleaseError: the release or this code knows no such table, or its file or sidecar is not what the manifest or the schema says.
     """
     if name not in manifest.tables:
         raise ReleaseError(f"table {shown(name)} is not in this release, must be one of {sorted(manifest.tables)}")
@@ -81,13 +81,13 @@ def read_released_table(directory: Path, manifest: Manifest, name: str, *, verif
             found = content_hash(table)
             if found != entry.content_hash:
                 raise ReleaseError(f"{file}: content hash {found[:12]}, manifest says {entry.content_hash[:12]}")
-    except (StoreError, SchemaError, pa.ArrowException, OSError) as error:
+    except (StoreError, pa.ArrowException, OSError, ValueError) as error:  # SchemaError, and names that are not UTF-8, are ValueErrors
         raise ReleaseError(f"{file}: {error}") from error
     return table
 
 
 def clear_folder(directory: Path, tables: Collection[str]) -> None:
-    """Make an existing folder ready for a release of these tables: what an older release left goes, what nobody knows is refused.
+    """Make an existing folder ready for a release of these tables: files of an older release go, anything else is refused.
 
     The manifest goes first, so that the folder is no release from then on.
 

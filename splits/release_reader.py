@@ -1,4 +1,4 @@
-"""A release to read: opened and checked once, each table read once; whether its labels make sense is verified by release.
+"""A release to read: opened and checked once, each table read once. `verify_release` in release.py asks whether the labels make sense.
 
 ```python
 release = Release.open("data/release/mini")
