@@ -20,11 +20,14 @@ from assets_def.checks import consistency_result, schema_check_spec
 from assets_def.partitions import shards_to_tiers, tier_partitions
 from assets_def.resources import Benchmark
 from assets_def.tier_tables import publish_tier_table
+from objects.catalogue import catalogue_hash, load_catalogue
 from pipelines.recipe import Recipe
 from pipelines.running.join import join_candidates, join_grasps
 from pipelines.running.shard_runner import read_timings
 from pipelines.stages import STAGES
 from splits.leakage import find_leaks
+from splits.manifest import DATA_VERSION
+from splits.provenance import git_commit
 from splits.release import release_errors, write_release
 from splits.release_laws import broken_laws
 from splits.scene_groups import SplitParams, split_rows
@@ -32,8 +35,8 @@ from tables.identity import family_of_tier, scenes_of_shard, shards_of_tier
 from tables.schemas import ALL_SCHEMAS, CANDIDATES, GRASPS, OBJECT_TABLES, SPLITS
 from tables.store import read_table, read_tables, table_from_rows
 
-DATA_VERSION = "0.1.0"
-RELEASE_CODE_VERSION = "1"
+RELEASE_CODE_VERSION = "1"  # of the joined tables and the splits
+FOLDER_CODE_VERSION = "2"  # of what stands around the tables in a release folder
 
 # Released as they are; `candidates` and `grasps` replace the four tables they are joined from.
 _SHARD_TABLES = ("scenes", "scene_attempts", "obstacles", "targets", "scene_points", "plans", "policy_features")
@@ -132,7 +135,7 @@ def splits_table(context: AssetExecutionContext, benchmark: Benchmark) -> Iterat
             ],
             description="Writes the release folder of a tier: Parquet tables, data card, and last the manifest with every checksum.",
             group_name="release",
-            code_version=RELEASE_CODE_VERSION,
+            code_version=FOLDER_CODE_VERSION,
             kinds={"parquet"},
         )
     ],
@@ -149,7 +152,13 @@ def release(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[Ma
     }
     directory = benchmark.root.release(tier)
     recipe = benchmark.recipe_of_tier(tier)
-    provenance = {"recipe_hash": recipe.hash_of(), "recipe_seed": str(recipe.seed), **_code_versions()}
+    provenance = {
+        "recipe_hash": recipe.hash_of(),
+        "recipe_seed": str(recipe.seed),
+        "catalogue_hash": catalogue_hash(load_catalogue()),
+        "git_commit": git_commit(),
+        **_code_versions(),
+    }
     manifest = write_release(tables, directory, tier, DATA_VERSION, provenance, **_tolerances(recipe))
     metadata: dict[str, Any] = {
         "path": MetadataValue.path(str(directory)),
