@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tables.errors import PlaceBenchError
+
 SCENES_PER_SHARD = 19
 N_FULL_SHARDS = 65
 N_MINI_SCENES = 12
@@ -20,7 +22,7 @@ _SCENE = re.compile(r"(mini|full)-(\d{4})")
 _CANDIDATE = re.compile(r"((?:mini|full)-\d{4})-t(\d)-g(\d\d)")
 
 
-class IdentityError(ValueError):
+class IdentityError(PlaceBenchError, ValueError):
     """An id that no scene, candidate or shard can have."""
 
 
