@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 
 MANIFEST = "manifest.json"
@@ -15,8 +13,9 @@ MANIFEST = "manifest.json"
 # Measured once, different on every machine: shipped and checksummed, but no part of what the release hash identifies.
 MEASUREMENTS = ("timings",)
 
-# Every package whose version may change a label or the bytes of a table.
-_LIBRARIES = (
+# Python and every package whose version may change a label or the bytes of a table.
+LIBRARIES = (
+    "python",
     "coacd",
     "coal",
     "frankik",
@@ -82,14 +81,3 @@ def release_hash_of(entries: Mapping[str, TableEntry]) -> str:
     """SHA-256 over the content hashes of the tables, without measurements."""
     lines = [f"{name} {entry.content_hash}\n" for name, entry in sorted(entries.items()) if name not in MEASUREMENTS]
     return hashlib.sha256("".join(lines).encode()).hexdigest()
-
-
-def library_versions() -> dict[str, str]:
-    """Versions of Python and of every package that may change a label or the bytes of a table."""
-    versions = {"python": platform.python_version()}
-    for name in _LIBRARIES:
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            versions[name] = "not installed"
-    return versions

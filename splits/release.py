@@ -17,11 +17,12 @@ import pyarrow as pa
 from splits.data_card import render_card
 from splits.label_errors import find_label_errors
 from splits.leakage import find_leaks
-from splits.manifest import MANIFEST, Manifest, ReleaseError, TableEntry, library_versions, read_manifest, release_hash_of
+from splits.manifest import LIBRARIES, MANIFEST, Manifest, ReleaseError, TableEntry, read_manifest, release_hash_of
 from tables.columns import SchemaError
 from tables.identity import scenes_of_shard, shards_of_tier
 from tables.schemas import ALL_SCHEMAS, SCHEMA_VERSION
 from tables.store import StoreError, content_hash, file_sha256, read_table, sidecar_path, write_table, write_text_atomically
+from tables.versions import library_versions
 
 LICENCE = "CC-BY-4.0"
 CARD = "README.md"
@@ -101,7 +102,7 @@ def write_release(
         rotation_tolerance_rad=rotation_tolerance_rad,
         tables=entries,
         provenance=dict(provenance),
-        libraries=library_versions(),
+        libraries=library_versions(LIBRARIES),
     )
     write_text_atomically(directory / MANIFEST, json.dumps(asdict(manifest), indent=2, sort_keys=True) + "\n")
     return manifest
