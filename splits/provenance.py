@@ -6,11 +6,9 @@ The hashes of recipe and catalogue are computed where they are parsed, in pipeli
 from __future__ import annotations
 
 import os
-import platform
 import re
 import subprocess
 from collections.abc import Mapping
-from importlib import metadata
 from pathlib import Path
 
 from splits.errors import ReleaseError, shown
@@ -30,8 +28,9 @@ _REQUIRED = {
     ),
 }
 
-# Every package whose version may change a label or the bytes of a table.
-_LIBRARIES = (
+# Python and every package whose version may change a label or the bytes of a table.
+LIBRARIES = (
+    "python",
     "coacd",
     "coal",
     "frankik",
@@ -78,17 +77,6 @@ def git_commit(folder: Path = PACKAGE_ROOT) -> str:
     if head is None or changes is None or not _COMMIT.fullmatch(head):
         return UNKNOWN_COMMIT
     return f"{head}-dirty" if changes else head
-
-
-def library_versions() -> dict[str, str]:
-    """Versions of Python and of every package that may change a label or the bytes of a table."""
-    versions = {"python": platform.python_version()}
-    for name in _LIBRARIES:
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            versions[name] = "not installed"
-    return versions
 
 
 def _git(folder: Path, *arguments: str) -> str | None:

@@ -31,12 +31,13 @@ from splits.manifest import (
     release_hash_of,
 )
 from splits.pose_errors import find_pose_errors
-from splits.provenance import check_provenance, library_versions
+from splits.provenance import LIBRARIES, check_provenance
 from splits.release_folder import check_files, check_nothing_else, clear_folder, read_released_table
 from splits.release_laws import broken_laws
 from tables.identity import scenes_of_shard, shards_of_tier
 from tables.schemas import ALL_SCHEMAS, SCHEMA_VERSION
 from tables.store import file_sha256, write_table, write_text_atomically
+from tables.versions import library_versions
 
 REQUIRED_TABLES = (
     "objects",
@@ -88,7 +89,7 @@ def write_release(
         raise ReleaseError(f"{directory}: not a folder")
     directory.mkdir(parents=True, exist_ok=True)
     clear_folder(directory, tables.keys())
-    entries = {name: _write(name, tables[name], directory, provenance) for name in sorted(tables)}
+    entries = {name: _write(name, tables[name], directory, tier, provenance) for name in sorted(tables)}
     release_hash = release_hash_of(entries)
     facts = {
         **provenance,
@@ -115,7 +116,7 @@ def write_release(
         tables=entries,
         files={file: FileEntry((directory / file).stat().st_size, file_sha256(directory / file)) for file in files},
         provenance=dict(provenance),
-        libraries=library_versions(),
+        libraries=library_versions(LIBRARIES),
     )
     write_text_atomically(directory / MANIFEST, manifest.to_text())
     return manifest
@@ -178,9 +179,9 @@ def _check_values(tables: Mapping[str, pa.Table], position_tolerance_m: float, r
         raise ReleaseError(f"leakage: {len(leaks)} leaks, must be 0; first {leaks[0]}")
 
 
-def _write(name: str, table: pa.Table, directory: Path, provenance: Mapping[str, str]) -> TableEntry:
+def _write(name: str, table: pa.Table, directory: Path, tier: str, provenance: Mapping[str, str]) -> TableEntry:
     file, _ = files_of_table(name)
-    sidecar = write_table(ALL_SCHEMAS[name], table, directory / file, provenance)
+    sidecar = write_table(ALL_SCHEMAS[name], table, directory / file, provenance, of=tier)
     return TableEntry(file, sidecar.rows, sidecar.content_hash)
 
 

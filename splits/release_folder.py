@@ -68,7 +68,9 @@ def read_released_table(directory: Path, manifest: Manifest, name: str, *, verif
         raise ReleaseError(f"{MANIFEST}: table {name!r} is unknown to this code")
     schema, entry = ALL_SCHEMAS[name], manifest.tables[name]
     file, sidecar_file = files_of_table(name)
-    sidecar = Sidecar(name, entry.rows, manifest.files[file].sha256, entry.content_hash, manifest.schema_version, manifest.provenance)
+    sidecar = Sidecar(
+        name, entry.rows, manifest.files[file].sha256, entry.content_hash, manifest.schema_version, manifest.tier, manifest.provenance
+    )
     _check_sidecar(directory / sidecar_file, asdict(sidecar))
     try:
         _check_columns(pq.read_schema(directory / file), schema)

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from importlib import metadata
 
 import pyarrow as pa
 
@@ -31,6 +30,7 @@ from tables.store import (
     sidecar_path,
     write_table,
 )
+from tables.versions import library_versions
 
 
 class StageError(RuntimeError):
@@ -165,7 +165,7 @@ def _made_from(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs) ->
         "recipe": inputs.recipe.hash_of_sections(*stage.sections),
         **{f"object.{name}": inputs.object_hashes[name] for name in stage.objects},
         **{f"table.{t.name}": read_sidecar(root.shard_table(shard, t.name)).content_hash for t in stage.inputs},
-        **{f"engine.{name}": metadata.version(name) for name in stage.engines},
+        **{f"engine.{name}": version for name, version in library_versions(stage.engines).items()},
     }
 
 

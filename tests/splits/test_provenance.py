@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from splits.errors import ReleaseError
-from splits.provenance import PACKAGE_ROOT, check_provenance, git_commit, library_versions
+from splits.provenance import LIBRARIES, PACKAGE_ROOT, check_provenance, git_commit
+from tables.versions import library_versions
 from tests.splits.damage import PROVENANCE
 
 
@@ -130,6 +131,6 @@ def test_what_git_commit_answers_may_be_released(commit: str) -> None:
 
 
 def test_libraries_are_named_with_their_versions() -> None:
-    versions = library_versions()
+    versions = library_versions(LIBRARIES)
     assert versions["python"].startswith("3.")
     assert all(version and version != "not installed" for version in versions.values())

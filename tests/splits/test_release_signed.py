@@ -187,14 +187,14 @@ def parquet_of(table: pa.Table) -> bytes:
 
 # (table, what becomes of it, words of the line); every checksum and the sidecar fit.
 TABLES: list[tuple[str, str, Callable[[pa.Table], pa.Table | bytes], list[str]]] = [
-    ("a flipped label", "candidates", success_called_failure, ["labels: 1 rules", "y_pipe says the same as exec_status"]),
+    ("a flipped label", "candidates", success_called_failure, ["laws: 1 broken", "y_pipe says the same as exec_status"]),
     ("a scene without split", "splits", lambda t: t.slice(1), ["leakage: 1 leaks", "full-0000", "in 0 splits"]),
     ("a scene of another tier", "scenes", lambda t: with_values(t, "scene_id", "full-1000"), ["scenes: full-1000 is not in tier pilot"]),
     ("a scene id that is none", "scenes", lambda t: with_values(t, "scene_id", "kitchen"), ["scenes: kitchen is not in tier pilot"]),
     ("an unknown object", "scenes", lambda t: with_values(t, "object_id", "ghost"), ["scenes: object ghost is not in objects"]),
     ("an unknown object in the pool", "grasp_pool", lambda t: with_values(t, "object_id", "ghost"), ["grasp_pool: object ghost"]),
     ("no objects", "objects", lambda t: t.slice(0, 0), ["object", "is not in objects"]),
-    ("no targets", "targets", lambda t: t.slice(0, 0), ["labels:", "must be 0"]),
+    ("no targets", "targets", lambda t: t.slice(0, 0), ["laws:", "must be 0"]),
     ("no quaternion", "scenes", no_quaternion, ["scenes: object of scene_id full-0000", "length 0, must be 1 (1 rows are wrong)"]),
     ("half a quaternion", "obstacles", lambda t: with_values(t, "obstacle_qw", 0.5), ["obstacles: obstacle of", "must be 1"]),
     ("an endless quaternion", "grasps", lambda t: with_values(t, "grasp_qx", -1e300), ["grasps: grasp of", "length inf, must be 1"]),

@@ -79,7 +79,7 @@ def test_tables_of_another_engine_version_are_not_reused(tmp_path: Path, inputs:
     assert made.sidecars["splits"].made_from["engine.numpy"] == metadata.version("numpy")
     assert run_stage(stage, SHARD, root, inputs, 0).is_reused
     real = metadata.version
-    monkeypatch.setattr(shard_runner.metadata, "version", lambda name: "99.0" if name == "ompl" else real(name))
+    monkeypatch.setattr(metadata, "version", lambda name: "99.0" if name == "ompl" else real(name))
     assert not is_published(stage, SHARD, root, inputs)
 
 
