@@ -125,7 +125,7 @@ def republished(directory: Path, name: str, table: pa.Table | bytes) -> None:
         pq.write_table(table, path)
         entry |= {"rows": table.num_rows, "content_hash": content_hash(table)}
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
-    found = Sidecar(name, entry["rows"], sha256, entry["content_hash"], content["schema_version"], content["provenance"])
+    found = Sidecar(name, entry["rows"], sha256, entry["content_hash"], content["schema_version"], content["tier"], content["provenance"])
     path.with_name(f"{path.name}.json").write_text(json.dumps(asdict(found)))
     _write_with_release_hash(directory, content)
     listed(directory, path.name, f"{path.name}.json")
