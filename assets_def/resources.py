@@ -18,7 +18,7 @@ from tables.identity import parse_scene_id, scenes_of_shard
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
-class Benchmark(ConfigurableResource):
+class Benchmark(ConfigurableResource[None]):
     """Folders and recipe of this checkout; relative paths are below the repository."""
 
     data_dir: str = "data"
