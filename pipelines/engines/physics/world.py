@@ -155,11 +155,6 @@ class PhysicsWorld:
             raise PhysicsError(f"{self._label}: object pose {pose.tolist()} after {self.n_steps} steps, must be finite and within 1000 m")
         return matrix_of(pose) @ self._T_mass_object
 
-    def object_speed(self) -> tuple[float, float]:
-        """Speed of the centre of mass in m/s and rate of turn in rad/s."""
-        v, w = pybullet.getBaseVelocity(self._ids["object"], physicsClientId=self._client)
-        return float(np.linalg.norm(v)), float(np.linalg.norm(w))
-
     def set_arm(self, q: Float[np.ndarray, "7"], fingers_m: Sequence[float]) -> None:
         """Put arm and fingers (opening of each) at rest at a configuration and command both to stay."""
         for joint, value in zip(self._robot.joints, (*q, *fingers_m), strict=True):
@@ -222,10 +217,6 @@ class PhysicsWorld:
             link: only this link of the robot.
         """
         return sum(point[9] for point in self._points(body, other, link))
-
-    def deepest_contact_m(self, body: str, other: str) -> float:
-        """Largest penetration between two bodies in the last step, in metres; 0 without contact."""
-        return max((-point[8] for point in self._points(body, other, None)), default=0.0)
 
     def is_clear(self, gap_m: float) -> bool:
         """Whether robot and object are further apart than a gap."""
