@@ -107,7 +107,7 @@ def _own(rows: list[Row], candidate: CandidateId | None) -> list[Row]:
 def _is_of(row: Row, candidate: CandidateId) -> bool:
     if "candidate_id" in row:
         return parse_candidate_id(row["candidate_id"]) == candidate
-    return row.get("grasp_id", candidate.grasp_id) == candidate.grasp_id
+    return bool(row.get("grasp_id", candidate.grasp_id) == candidate.grasp_id)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

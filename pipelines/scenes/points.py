@@ -80,7 +80,8 @@ def _clouds(object_model: ObjectModel, scene: Scene, params: CameraParams) -> di
 def _points_of(photograph: Photograph, types: dict[int, PointType], kind: PointType, params: CameraParams) -> Float[np.ndarray, "n 3"]:
     bodies = [body for body, its_kind in types.items() if its_kind is kind]
     points = photograph.points_m[np.isin(photograph.body, bodies)]
-    return points[np.linalg.norm(points[:, :2], axis=1) <= params.max_radius_m]
+    within_reach: Float[np.ndarray, "n 3"] = points[np.linalg.norm(points[:, :2], axis=1) <= params.max_radius_m]
+    return within_reach
 
 
 def _some(rng: np.random.Generator, points: Float[np.ndarray, "n 3"], n: int) -> Float[np.ndarray, "m 3"]:

@@ -153,7 +153,8 @@ class PhysicsWorld:
         pose = np.array([*position, *quaternion])
         if not np.all(np.isfinite(pose)) or np.abs(pose[:3]).max() > 1e3:
             raise PhysicsError(f"{self._label}: object pose {pose.tolist()} after {self.n_steps} steps, must be finite and within 1000 m")
-        return matrix_of(pose) @ self._T_mass_object
+        T_base_object: Float[np.ndarray, "4 4"] = matrix_of(pose) @ self._T_mass_object
+        return T_base_object
 
     def set_arm(self, q: Float[np.ndarray, "7"], fingers_m: Sequence[float]) -> None:
         """Put arm and fingers (opening of each) at rest at a configuration and command both to stay."""
@@ -206,7 +207,8 @@ class PhysicsWorld:
 
     def inhand_pose(self) -> Float[np.ndarray, "4 4"]:
         """T_tcp_object, measured."""
-        return inverse(self.tcp_pose()) @ self.object_pose()
+        T_tcp_object: Float[np.ndarray, "4 4"] = inverse(self.tcp_pose()) @ self.object_pose()
+        return T_tcp_object
 
     def force_n(self, body: str, other: str, link: str | None = None) -> float:
         """Sum of normal contact forces between two bodies in the last step, in newton.
@@ -216,7 +218,7 @@ class PhysicsWorld:
             other: "object", "table", "obstacle 0", ...
             link: only this link of the robot.
         """
-        return sum(point[9] for point in self._points(body, other, link))
+        return float(sum(point[9] for point in self._points(body, other, link)))
 
     def is_clear(self, gap_m: float) -> bool:
         """Whether robot and object are further apart than a gap."""

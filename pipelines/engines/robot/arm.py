@@ -36,7 +36,8 @@ _T_TCP_FLANGE = inverse(T_FLANGE_TCP)
 def fk(q: Float[np.ndarray, "*n 7"]) -> Float[np.ndarray, "*n 4 4"]:
     """T_base_tcp of arm configurations in radians; limits are not checked."""
     if q.ndim == 1:
-        return frankik.fk(q)
+        T_base_tcp: Float[np.ndarray, "4 4"] = frankik.fk(q)
+        return T_base_tcp
     return np.array([frankik.fk(row) for row in q.reshape(-1, 7)]).reshape(*q.shape[:-1], 4, 4)
 
 
