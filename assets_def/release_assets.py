@@ -26,12 +26,14 @@ from assets_def.partitions import shards_to_tiers, tier_partitions
 from assets_def.products import FilesProduct, TableProduct
 from assets_def.resources import Benchmark
 from assets_def.steps import Step
+from objects.catalogue import catalogue_hash, load_catalogue
 from pipelines.recipe import Recipe
 from pipelines.running.join import join_candidates, join_grasps
 from pipelines.running.shard_runner import read_timings
 from pipelines.stages import STAGES
 from splits.leakage import find_leaks
 from splits.manifest import DATA_VERSION, read_manifest
+from splits.provenance import git_commit
 from splits.release import release_errors, write_release
 from splits.release_laws import broken_laws
 from splits.scene_groups import SplitParams, UniverseScene, split_rows

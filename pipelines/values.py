@@ -109,7 +109,8 @@ class Candidate:
 
     def place_pose(self, release_height_m: float) -> Float[np.ndarray, "4 4"]:
         """T_base_tcp where the hand lets go, with the object as it was measured in the hand after the lift."""
-        return self.release_pose(release_height_m) @ inverse(self.grasp.T_tcp_object)
+        T_base_tcp: Float[np.ndarray, "4 4"] = self.release_pose(release_height_m) @ inverse(self.grasp.T_tcp_object)
+        return T_base_tcp
 
 
 @dataclass(frozen=True, slots=True)

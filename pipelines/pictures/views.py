@@ -59,7 +59,8 @@ def shrunk(picture: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
     """Average blocks of pixels down to the asked size."""
     n = _PICTURE_SHARPNESS
     h, w, _ = picture.shape
-    return np.clip(picture.reshape(h // n, n, w // n, n, 3).mean(axis=(1, 3)), 0, 255).round().astype(np.uint8)
+    small: UInt8[np.ndarray, "h w 3"] = np.clip(picture.reshape(h // n, n, w // n, n, 3).mean(axis=(1, 3)), 0, 255).round().astype(np.uint8)
+    return small
 
 
 def add_table(renderer: Renderer) -> int:

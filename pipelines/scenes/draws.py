@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from objects.object_model import ObjectModel, StablePose
 from pipelines.codecs import Row
+from pipelines.engines.bounds import BoundsError, bounded, check_bounds
 from pipelines.engines.physics.resting import rest_drift
 from pipelines.engines.physics.world import PhysicsWorld
 from pipelines.scenes.reach import OpenHands
@@ -28,49 +29,43 @@ _T = TypeVar("_T")
 class SceneSamplingParams:
     """Where things are put and when a draw is rejected. These are the knobs of task difficulty."""
 
-    n_targets: int = N_TARGETS
-    # Where a Panda still reaches down with some freedom: nearer the elbow folds, further the wrist cannot tilt.
-    radius_m: tuple[float, float] = (0.30, 0.70)
-    angle_rad: tuple[float, float] = (-1.2217304763960306, 1.2217304763960306)  # +-70 degrees: the arm's front
-    obstacle_size_m: tuple[float, float, float] = (0.10, 0.08, 0.12)
-    obstacle_radius_m: tuple[float, float] = (0.28, 0.72)  # near enough to be in the way of a target
-    obstacle_gap_m: float = 0.03  # between obstacles: less would be one obstacle
-    # Shares of resting poses among targets: half ask for the pose the object has (the everyday case), the others take turns, however
-    # barely stable, so that a lying target needs another grasp than an upright one.
-    share_same_rest: float = 0.5
+    n_targets: int = bounded(N_TARGETS, 1, N_TARGETS)
+    # Where the object and targets stand: distance from the robot base, and angle to its front (70 degrees to each side).
+    radius_m: tuple[float, float] = bounded((0.30, 0.78), 0.05, 3.0, is_increasing=True)
+    angle_rad: tuple[float, float] = bounded((-1.2217304763960306, 1.2217304763960306), -math.pi, math.pi, is_increasing=True)
+    obstacle_size_m: tuple[float, float, float] = bounded((0.10, 0.08, 0.12), 0.005, 1.0)
+    # Near enough to be in the way of a target.
+    obstacle_radius_m: tuple[float, float] = bounded((0.28, 0.72), 0.05, 3.0, is_increasing=True)
+    obstacle_gap_m: float = bounded(0.03, 0.001, 1.0)  # between obstacles: less would be one obstacle
+    # Of targets, those that ask for the resting pose that the object has; the others take turns, however barely stable, so that a
+    # lying target needs another grasp than an upright one.
+    share_same_rest: float = bounded(0.1, 0.0, 1.0)
     # Of the obstacles, those between object and workspace; the others stand beside the object.
-    share_between: float = 0.6
-    share_beside_obstacle: float = 0.6  # of the targets, where there is an obstacle: those placed next to one
-    near_gap_m: tuple[float, float] = (0.02, 0.12)  # "next to": a finger is 2 cm wide and a hand 20 cm
-    object_gap_m: float = 0.05  # object to obstacle: fingers fit on every side, else no grasp of that side is ever admitted
-    target_gap_m: float = 0.02  # target to obstacle: collision-free with room for the tolerance of a placement
-    min_move_m: float = 0.10  # target to object: a placement, not a nudge
-    min_target_distance_m: float = 0.05  # between targets, or they must be turned:
-    min_target_turn_rad: float = 0.5235987755982988  # 30 degrees modulo symmetry
-    # Pool grasps that clear the table and that the arm reaches, where the object starts: of 64, so that some 20 can be lifted.
-    min_initial_grasps: int = 16
-    min_target_grasps: int = 2  # the same at a target: none would be out of reach whatever is chosen
-    n_q7: int = 8  # grid of joint 7; a reach test, finer ones follow
-    rest_s: float = 1.0  # an unstable pose has left its place by then
-    max_drift_m: float = 0.005
-    max_drift_rad: float = 0.05235987755982988  # 3 degrees
-    draws_per_rest: int = 12  # places tried for a target's resting pose before another pose is drawn
-    max_draws: int = 100  # of one item before the whole scene is drawn anew
-    max_attempts: int = 50
+    share_between: float = bounded(0.6, 0.0, 1.0)
+    share_beside_obstacle: float = bounded(0.9, 0.0, 1.0)  # of the targets, where there is an obstacle: those placed next to one
+    near_gap_m: tuple[float, float] = bounded((0.015, 0.05), 0.001, 1.0, is_increasing=True)  # "next to": target to obstacle
+    object_gap_m: float = bounded(0.05, 0.001, 1.0)  # object to obstacle: fingers fit on every side, else that side admits no grasp
+    target_gap_m: float = bounded(0.015, 0.001, 1.0)  # target to obstacle, at least
+    min_move_m: float = bounded(0.10, 0.0, 1.0)  # target to object: a placement, not a nudge
+    min_target_distance_m: float = bounded(0.05, 0.0, 1.0)  # between targets, or they must be turned:
+    min_target_turn_rad: float = bounded(0.5235987755982988, 0.0, math.pi)  # 30 degrees modulo symmetry
+    # Pool grasps that clear the table and that the arm reaches, at the initial pose of the object and at a target.
+    min_initial_grasps: int = bounded(22, 1, 100)
+    min_target_grasps: int = bounded(1, 1, 100)
+    n_q7: int = bounded(8, 1, 4096)  # grid of joint 7; a reach test, finer ones follow
+    rest_s: float = bounded(1.0, 0.01, 60.0)  # an unstable pose has left its place by then
+    max_drift_m: float = bounded(0.005, 1e-5, 0.1)
+    max_drift_rad: float = bounded(0.05235987755982988, 1e-4, 1.0)  # 3 degrees
+    draws_per_rest: int = bounded(12, 1, 10_000)  # places tried for the resting pose of a target before another pose is drawn
+    max_draws: int = bounded(100, 1, 10_000)  # of one item before the whole scene is drawn anew
+    max_attempts: int = bounded(50, 1, 10_000)
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.name.endswith("_gap_m") or item.name in ("radius_m", "angle_rad", "obstacle_radius_m"):
-                low, high = value if isinstance(value, tuple) else (0.0, value)
-                if not low < high:
-                    raise ValueError(f"{item.name} = {value}, must be increasing and above 0")
-            elif item.name.startswith("share_") and not 0.0 <= value <= 1.0:
-                raise ValueError(f"{item.name} = {value}, must be in [0, 1]")
-            elif isinstance(value, int) and value < 1:
-                raise ValueError(f"{item.name} = {value}, must be at least 1")
+        check_bounds(self)
         if self.target_gap_m > self.near_gap_m[0]:
-            raise ValueError(f"target_gap_m = {self.target_gap_m}, must be at most near_gap_m[0] = {self.near_gap_m[0]}")
+            raise BoundsError(f"target_gap_m = {self.target_gap_m}, must be at most near_gap_m[0] = {self.near_gap_m[0]}")
+        if self.object_gap_m > self.near_gap_m[1]:
+            raise BoundsError(f"object_gap_m = {self.object_gap_m}, must be at most near_gap_m[1] = {self.near_gap_m[1]}")
 
 
 @dataclass(frozen=True, slots=True)

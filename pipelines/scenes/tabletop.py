@@ -20,12 +20,14 @@ _RECTANGLE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 def footprint(object_model: ObjectModel, T_base_object: Float[np.ndarray, "4 4"]) -> Polygon:
     """Convex outline of an object, counter-clockwise, metres."""
     xy = object_model.mesh.vertices_m @ T_base_object[:2, :3].T + T_base_object[:2, 3]
-    return xy[ConvexHull(xy).vertices]
+    outline: Polygon = xy[ConvexHull(xy).vertices]
+    return outline
 
 
 def box_footprint(T_base_box: Float[np.ndarray, "4 4"], size_m: Float[np.ndarray, "3"]) -> Polygon:
     """Outline of a box that stands upright, counter-clockwise, metres."""
-    return (_RECTANGLE * size_m[:2]) @ T_base_box[:2, :2].T + T_base_box[:2, 3]
+    outline: Polygon = (_RECTANGLE * size_m[:2]) @ T_base_box[:2, :2].T + T_base_box[:2, 3]
+    return outline
 
 
 def standing(xy: Xy, yaw_rad: float, height_m: float = 0.0) -> Float[np.ndarray, "4 4"]:
@@ -83,4 +85,5 @@ def is_in_sector(xy: Xy, radius_m: tuple[float, float], angle_rad: tuple[float, 
 def _normals(outline: Polygon) -> Polygon:
     edges = np.roll(outline, -1, axis=0) - outline
     normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    unit: Polygon = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    return unit

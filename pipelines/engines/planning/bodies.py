@@ -92,7 +92,8 @@ class Box:
         """Distance of points from the box; 0 inside."""
         local = np.einsum("...i,ij->...j", points - self.T_base_box[:3, 3], self.T_base_box[:3, :3])
         outside = np.maximum(np.abs(local) - self.half_m, 0.0)
-        return np.sqrt((outside * outside).sum(axis=-1))
+        gap_m: Float[np.ndarray, "*n"] = np.sqrt((outside * outside).sum(axis=-1))
+        return gap_m
 
 
 class Surroundings:

@@ -104,7 +104,7 @@ class _ArmWorld:
         self._broad_phase = pin.BroadPhaseManager_NaiveCollisionManager(self._model, self._geometry, self._results)
 
     def _add(self, name: str, joint: int, T_joint_shape: Float[np.ndarray, "4 4"], geometry: coal.CollisionGeometry) -> int:
-        return self._geometry.addGeometryObject(pin.GeometryObject(name, joint, pin.SE3(T_joint_shape), geometry))
+        return int(self._geometry.addGeometryObject(pin.GeometryObject(name, joint, pin.SE3(T_joint_shape), geometry)))
 
     def place_object(self, T_joint_object: Float[np.ndarray, "4 4"], fingers_m: Float[np.ndarray, "2"]) -> None:
         placement = pin.SE3(T_joint_object)
@@ -114,4 +114,4 @@ class _ArmWorld:
 
     def in_collision(self, q: Float[np.ndarray, "7"]) -> bool:
         self._q[:7] = q
-        return pin.computeCollisions(self._model, self._data, self._broad_phase, self._q, True)
+        return bool(pin.computeCollisions(self._model, self._data, self._broad_phase, self._q, True))

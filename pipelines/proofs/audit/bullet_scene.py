@@ -220,16 +220,18 @@ def _near(pairs: Sequence[tuple[_Piece, _Piece]], placed: Placements, n: int) ->
         centre_m[row] = T[:, :3, :3] @ piece.centre_m + T[:, :3, 3]
         half_m[row] = np.abs(T[:, :3, :3]) @ piece.half_m
     a, b = (np.array([rows[pair[side].number] for pair in pairs], dtype=np.int64) for side in (0, 1))
-    return (np.abs(centre_m[a] - centre_m[b]) - half_m[a] - half_m[b]).max(axis=-1) < FAR_M
+    is_near: Bool[np.ndarray, "p n"] = (np.abs(centre_m[a] - centre_m[b]) - half_m[a] - half_m[b]).max(axis=-1) < FAR_M
+    return is_near
 
 
 @lru_cache(maxsize=16)
 def _link_mesh(name: str) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
     """Collision mesh of a link in pybullet_data, link frame, metres."""
-    mesh = trimesh.load(Path(pybullet_data.getDataPath()) / "franka_panda" / "meshes" / "collision" / f"{name}.obj", force="mesh")
+    mesh = trimesh.load_mesh(Path(pybullet_data.getDataPath()) / "franka_panda" / "meshes" / "collision" / f"{name}.obj")
     return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
 
 def _corners(size_m: Sequence[float] | Float[np.ndarray, "3"]) -> Float[np.ndarray, "8 3"]:
     """Corners of a box about its centre."""
-    return np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * np.asarray(size_m)
+    corners_m: Float[np.ndarray, "8 3"] = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * np.asarray(size_m)
+    return corners_m

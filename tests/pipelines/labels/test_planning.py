@@ -58,7 +58,7 @@ def problem(name: str) -> Problem:
     object_model = can_model() if name == "can" else box_model()
     scene = panda_scene(object_model, [(0.45, 0.22), (0.62, -0.18)])
     admitted = admitted_grasps(admission_rows(object_model, scene, AdmissionParams()))
-    return Problem(object_model, scene, tuple(ideally_lifted(object_model, scene, grasp) for grasp in admitted[::2]))
+    return Problem(object_model, scene, tuple(ideally_lifted(object_model, grasp) for grasp in admitted[::2]))
 
 
 @pytest.mark.parametrize("name", ["can", "box"])

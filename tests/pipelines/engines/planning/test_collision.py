@@ -24,6 +24,7 @@ from tests.pipelines.engines.planning.bullet_reference import BulletReference
 
 OBSTACLES = ((0.5, 0.25), (0.62, -0.2))
 T_TCP_CAN = inverse(tcp_pose((0.0, 0.0, 0.03), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)))
+N_Q7 = 32  # enough configurations of every pose here
 FINGERS_M = np.array([0.03, 0.034])
 # pybullet's hulls and boxes touch up to this early or late.
 BULLET_TOLERANCE_M = 0.0015
@@ -102,9 +103,9 @@ def test_the_attached_object_meets_the_table_where_its_lowest_point_does() -> No
         for height, expected in ((CLEARANCE_M + 2e-5, False), (CLEARANCE_M - 2e-5, True)):
             T = T_tcp.copy()
             T[2, 3] += height - lowest
-            free_before = [q for q in ik(T_tcp) if not model.in_collision_holding(q)]
+            free_before = [q for q in ik(T_tcp, N_Q7) if not model.in_collision_holding(q)]
             assert free_before
-            q = min(ik(T), key=lambda row: float(np.abs(row - free_before[0]).max()))
+            q = min(ik(T, N_Q7), key=lambda row: float(np.abs(row - free_before[0]).max()))
             assert model.in_collision_holding(q) is expected
             assert model.surroundings.in_collision(body, T @ T_TCP_CAN) is expected
 
@@ -115,7 +116,7 @@ def test_a_standing_object_may_be_touched_as_deep_as_the_tolerance(overlap_m: fl
     object_model = box_model((0.04, 0.04, 0.06))
     model = CollisionModel(panda_scene(object_model), object_model)
     T_base_tcp = tcp_pose((0.5, 0.0, 0.06), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
-    solutions = ik(T_base_tcp)
+    solutions = ik(T_base_tcp, N_Q7)
     model.place_object(pose(2.0, 2.0, 0.03), 0.06)
     free = [q for q in solutions if not model.in_collision_open(q)]
     assert free
@@ -139,7 +140,8 @@ def test_arm_and_hand_keep_their_clearance_to_table_and_obstacles(gap_m: float, 
     for T in (over_table, beside_obstacle):
         T_far = T.copy()
         T_far[:3, 3] += [0.0, -0.02, 0.02]
-        assert {model.in_collision_open(q) for q in ik(T) if not model.in_collision_open(follow_line(T, T_far, q)[-1])} == {expected}
+        lines = [line for q in ik(T, N_Q7) if (line := follow_line(T, T_far, q, 0.0025, 0.1)) is not None]
+        assert {model.in_collision_open(line[0]) for line in lines if not model.in_collision_open(line[-1])} == {expected}
         assert model.surroundings.in_collision(hand_body(0.06), T) is expected
 
 
