@@ -47,7 +47,7 @@ def _asset_of(stage: Stage) -> AssetsDefinition:
     def make(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
         shard = context.partition_key
         inputs = benchmark.shard_inputs(shard)
-        report = run_stage(stage, shard, benchmark.root, inputs, benchmark.n_workers, lambda p: _tell(context, p))
+        report = run_stage(stage, shard, benchmark.root, inputs, benchmark.n_workers, lambda p: _tell(context, p), context.log.warning)
         context.log.info(f"{shard}.{stage.name}: {'up to date' if report.is_reused else f'made in {report.wall_s:.1f} s'}")
         for schema in stage.outputs:
             sidecar = report.sidecars[schema.name]

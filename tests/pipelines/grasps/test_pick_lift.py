@@ -146,7 +146,7 @@ def test_a_grasp_of_no_pool_is_an_error() -> None:
     scene = scene_of(object_model)
     (grasp,) = _admitted(object_model, scene, 1)
     stranger = AdmittedGrasp(63, grasp.T_base_grasp, grasp.pregrasp_q_rad, grasp.grasp_q_rad)
-    with pytest.raises(ObjectError, match="test_can: grasp 63, must be one of"):
+    with pytest.raises(ObjectError, match=r"test_can: .*63"):
         pick_lift_rows(object_model, scene, [stranger], LIFTING)
 
 
