@@ -204,6 +204,24 @@ def test_a_forked_child_neither_frees_nor_keeps_the_lock_of_its_parent(lock: Pat
     os.waitpid(child, 0)
 
 
+def test_a_forked_child_that_leaves_the_block_leaves_the_lock_alone(lock: Path) -> None:
+    with locked(lock, WHAT):
+        record, parent, child = lock.read_bytes(), os.getpid(), None
+        try:
+            with locked(lock.with_name("other"), "another shard"):
+                child = os.fork()
+                if child == 0:
+                    raise KeyError("the child fails")
+        except KeyError:
+            os._exit(7)
+        finally:
+            if os.getpid() != parent:
+                os._exit(8)  # leaving the block raised something else
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
+        assert lock.read_bytes() == record
+        assert "this process already" in _refusal(lock)
+
+
 def test_locks_of_different_things_are_independent(tmp_path: Path) -> None:
     root = DataRoot(tmp_path)
     with (
