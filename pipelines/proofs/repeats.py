@@ -16,7 +16,7 @@ from pipelines.codecs import Row, plan_in
 from pipelines.labels.execution import execute_perturbed
 from pipelines.labels.planning import planning_rows
 from pipelines.recipe import Recipe
-from pipelines.running.workers import run_units
+from pipelines.running.workers import UNITS_PER_WORKER_LIFE, run_units
 from pipelines.values import LiftedGrasp, Scene
 from tables.columns import TableSchema
 from tables.identity import candidate_id_of, order_key
@@ -72,7 +72,7 @@ def attempt_rows(repeats: Sequence[Repeat], n_workers: int) -> Iterator[Row]:
     """
     fresh = [repeat for repeat in repeats if repeat.perturbation is Perturbation.FRESH]
     perturbed = [repeat for repeat in repeats if repeat.perturbation is not Perturbation.FRESH]
-    for some, units_per_life in ((fresh, 1), (perturbed, None)):
+    for some, units_per_life in ((fresh, 1), (perturbed, UNITS_PER_WORKER_LIFE)):
         with closing(run_units(attempt_row, [(repeat,) for repeat in some], max(1, n_workers), units_per_life)) as outcomes:
             for outcome in outcomes:
                 if outcome.error is not None:
