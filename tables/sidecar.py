@@ -133,9 +133,7 @@ def _load(path: Path) -> Sidecar:
         content: Any = json.loads(sidecar_path(path).read_bytes().decode("utf-8"))
     except OSError as error:
         raise StoreError(f"sidecar cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise StoreError(f"sidecar is not UTF-8 from byte {error.start}") from error
-    except (ValueError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # not UTF-8 is a ValueError too
         raise StoreError(f"sidecar is not JSON: {error}") from error
     if not isinstance(content, dict):
         raise StoreError(f"sidecar holds a {type(content).__name__}, must be an object")

@@ -182,11 +182,12 @@ def run_units(
     function: Callable[..., Any],
     units: Sequence[tuple[Any, ...]],
     n_workers: int,
-    units_per_life: int = UNITS_PER_WORKER_LIFE,
+    units_per_life: int | None = None,
     preload: Sequence[ModuleType] = (),
 ) -> Generator[Outcome, None, None]:
     """`Workers.run` for a caller that runs once: workers of its own, which end with the last outcome or when the generator is closed."""
-    with Workers(n_workers, units_per_life=units_per_life, preload=preload) as workers:
+    life = UNITS_PER_WORKER_LIFE if units_per_life is None else units_per_life
+    with Workers(n_workers, units_per_life=life, preload=preload) as workers:
         yield from workers.run(function, units)
 
 
