@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import subprocess
 import sys
+from itertools import combinations
 
 import coal
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from objects.object_model import ObjectModel
 from pipelines.engines.planning.bodies import CLEARANCE_M, Surroundings, bodies_meet, hand_body, object_body, transform_of
 from pipelines.engines.planning.clearance import path_clearance_m
-from pipelines.engines.planning.collision import HELD_TOLERANCE_M, CollisionModel
+from pipelines.engines.planning.collision import ALLOWED_COLLISION_MATRIX, HELD_TOLERANCE_M, ROBOT, SELF_COLLISION_PAIRS, CollisionModel
 from pipelines.engines.robot.arm import HOME_Q_RAD, Q_LOWER_RAD, Q_UPPER_RAD, fk, follow_line, ik
 from pipelines.engines.robot.geometry import box_corners, moved, panda
 from pipelines.values import Obstacle
@@ -57,6 +58,37 @@ def test_verdicts_agree_with_pybullet(object_model: ObjectModel) -> None:
                 assert model.in_collision_open(q) == (open_m < 0), (q, open_m)
     assert n_sure > 270
     assert 40 < n_hit < 260
+
+
+def test_every_pair_of_the_robot_is_tested_or_allowed_and_the_tested_ones_are_those_of_the_labels() -> None:
+    """The published labels were made with these 29 pairs of 78."""
+    hand = ("hand", "left_finger_pad", "left_finger_body", "right_finger_pad", "right_finger_body")
+    arm_by_wrist = {frozenset((a, b)) for a in ("link0", "link1", "link2") for b in ("link5", "link6", "link7")}
+    arm_by_hand = {frozenset((a, b)) for a in ("link0", "link1", "link2", "link5") for b in hand}
+    tested = {frozenset(pair) for pair in SELF_COLLISION_PAIRS}
+    assert tested == arm_by_wrist | arm_by_hand
+    assert len(SELF_COLLISION_PAIRS) == len(tested) == 29
+    assert tuple(shape.name for shape in panda().shapes) == ROBOT
+    assert tested | ALLOWED_COLLISION_MATRIX == {frozenset(pair) for pair in combinations(ROBOT, 2)}
+    assert not tested & ALLOWED_COLLISION_MATRIX
+
+
+def test_bodies_that_are_said_to_meet_never_or_always_do_so() -> None:
+    """What the matrix allows, in 2,000 random configurations; link5 and link7 are the documented pair between."""
+    model, data, shapes = panda().model, panda().model.createData(), {shape.name: shape for shape in panda().shapes}
+    n_met = dict.fromkeys(sorted(tuple(sorted(pair)) for pair in ALLOWED_COLLISION_MATRIX), 0)
+    sampled = np.random.default_rng(10).uniform(Q_LOWER_RAD, Q_UPPER_RAD, (2000, 7))
+    for q in sampled:
+        pin.forwardKinematics(model, data, np.concatenate([q, [0.01, 0.01]]))
+        placed = {name: transform_of(data.oMi[s.joint].homogeneous @ s.T_joint_shape) for name, s in shapes.items()}
+        for a, b in n_met:
+            result = coal.CollisionResult()
+            n_met[a, b] += bool(coal.collide(shapes[a].geometry, placed[a], shapes[b].geometry, placed[b], coal.CollisionRequest(), result))
+    between = {pair for pair, n in n_met.items() if 0 < n < len(sampled)}
+    assert between == {("link5", "link7")}
+    assert n_met["link5", "link7"] / len(sampled) == pytest.approx(0.06, abs=0.02)
+    always = {pair for pair, n in n_met.items() if n == len(sampled)}
+    assert {(a, b) for a, b in always if a.startswith("link") and b.startswith("link")} <= {(f"link{k}", f"link{k + 1}") for k in range(7)}
 
 
 def test_a_verdict_does_not_depend_on_what_was_asked_before() -> None:
