@@ -44,7 +44,8 @@ class GraspPoolParams:
     friction: float = 0.32
     # Pads are flat: a contact far off the normal is no contact of the pad's middle. 0.1 rad is 3 mm on a 66 mm can.
     jitter_rad: float = 0.1
-    # Contacts to the next sharp edge: the pads are 17.5 x 18.5 mm, nearer than 4 mm less than two thirds of a pad hold. See pipelines/recipe.toml.
+    # Contacts to the next sharp edge: the pads are 17.5 x 18.5 mm, nearer than 4 mm less than two thirds of a pad hold. See
+    # pipelines/recipe.toml.
     edge_margin_m: float = 0.002
     # Palm contact poisons later labels: the object shifts in the hand, the retreat is blocked.
     palm_clearance_m: float = 0.004

@@ -1,4 +1,4 @@
-"""Which pool grasps a scene allows, by geometry: hand, arm, straight approach and lift; whether they hold is pick_lift's."""
+"""Which pool grasps a scene allows, by geometry: hand, arm, straight approach and lift; see pick_lift.py for whether they hold."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One draw of an object, an obstacle or a target, and why it is rejected; putting a scene together is scene_sampling's."""
+"""One draw of an object, an obstacle or a target, and why it is rejected; see sampling.py for how a scene is put together."""
 
 from __future__ import annotations
 

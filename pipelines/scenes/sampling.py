@@ -1,4 +1,4 @@
-"""Draws a scene: the object at rest, obstacles in its way, targets where it would stay; which grasps work is grasp_admission's."""
+"""Draws a scene: the object at rest, obstacles in its way, targets where it would stay; see grasps/admission.py for which grasps work."""
 
 from __future__ import annotations
 

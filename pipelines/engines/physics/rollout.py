@@ -1,4 +1,4 @@
-"""Motions run in a physics world: follow a trajectory, hold, close, open, settle, and watch what happens; verdicts are the stages'."""
+"""Motions run in a physics world: follow a trajectory, hold, close, open, settle, and watch what happens; stages judge it."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ OBSTACLES = ((0.5, 0.25), (0.62, -0.2))
 T_TCP_CAN = inverse(tcp_pose((0.0, 0.0, 0.03), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)))
 N_Q7 = 32  # enough configurations of every pose here
 FINGERS_M = np.array([0.03, 0.034])
-# pybullet's hulls and boxes touch up to this early or late.
+# Hulls and boxes of pybullet are in contact up to this early or late.
 BULLET_TOLERANCE_M = 0.0015
 
 
@@ -143,7 +143,7 @@ def test_the_attached_object_meets_the_table_where_its_lowest_point_does() -> No
 
 
 @pytest.mark.parametrize(("overlap_m", "expected"), [(HELD_TOLERANCE_M - 5e-5, False), (HELD_TOLERANCE_M + 5e-5, True)])
-def test_a_standing_object_may_be_touched_as_deep_as_the_tolerance(overlap_m: float, expected: bool) -> None:
+def test_a_standing_object_may_be_overlapped_as_deep_as_the_tolerance(overlap_m: float, expected: bool) -> None:
     """A box, too low for the palm, beside a finger's outer face."""
     object_model = box_model((0.04, 0.04, 0.06))
     model = CollisionModel(panda_scene(object_model), object_model)
@@ -178,7 +178,7 @@ def test_arm_and_hand_keep_their_clearance_to_table_and_obstacles(gap_m: float, 
 
 
 def test_a_swept_hand_stands_for_every_step_of_its_line() -> None:
-    """One hull test against 0.25 mm steps: the sweep hits where some step hits, and where none does it is free."""
+    """One hull test against 0.25 mm steps: the sweep is in collision where some step is, and free where none is."""
     object_model = can_model()
     scene = panda_scene(object_model, OBSTACLES)
     surroundings = Surroundings(scene)
