@@ -6,7 +6,7 @@ Every pair of bodies is tested, except those listed here with the reason why the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -91,11 +91,9 @@ def executed_path(
     return q[kept]
 
 
-def self_pairs(required_m: float = 0.0) -> list[Pair]:
+def self_pairs() -> list[Pair]:
     """The robot against itself."""
-    return [
-        Pair(a, b, required_m) for k, a in enumerate(ROBOT) for b in ROBOT[k + 1 :] if frozenset((a, b)) not in ALLOWED_COLLISION_MATRIX
-    ]
+    return [Pair(a, b) for a, b in combinations(ROBOT, 2) if frozenset((a, b)) not in ALLOWED_COLLISION_MATRIX]
 
 
 def arm_pairs(world: BulletScene, required_m: float = 0.0) -> list[Pair]:
