@@ -1,4 +1,4 @@
-"""An Arrow table as a polars frame with plain strings."""
+"""An Arrow table as a polars frame with plain strings; callers decide what to ask of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The values that stages hand on: a scene, an admitted grasp, a lifted grasp, a plan; as table rows they are codecs.py's."""
+"""The values that stages hand on: a scene, an admitted grasp, a lifted grasp, a plan; see codecs.py for table rows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small scenes and objects for tests, built by hand; the real ones are pipelines.scenes.sampling's and objects.build's."""
+"""Small scenes and objects for tests, built by hand; pipelines/scenes/sampling.py and objects/build.py make the real ones."""
 
 from __future__ import annotations
 

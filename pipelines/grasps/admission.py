@@ -1,4 +1,4 @@
-"""Which pool grasps a scene allows, by geometry: hand, arm, straight approach and lift; whether they hold is pick_lift's."""
+"""Which pool grasps a scene allows, by geometry: hand, arm, straight approach and lift; see pick_lift.py for whether they hold."""
 
 from __future__ import annotations
 
@@ -55,15 +55,12 @@ class Reach:
     grasp_q_rad: Float[np.ndarray, "7"] | None = None
 
 
-def admission_rows(object_model: ObjectModel, scene: Scene, params: AdmissionParams, model: CollisionModel | None = None) -> list[Row]:
+def admission_rows(object_model: ObjectModel, scene: Scene, params: AdmissionParams) -> list[Row]:
     """Rows of `grasp_admission`, one for every pool grasp, in grasp order.
 
     Every grasp is judged in full; the first `quota` that pass are admitted. The pool is in farthest-point order, so these are spread.
-
-    Args:
-        model: the scene's collision model if it exists already.
     """
-    model = model or CollisionModel(scene, object_model)
+    model = CollisionModel(scene, object_model)
     rows, n_admitted = [], 0
     grasps = sorted(object_model.grasps, key=lambda grasp: grasp.grasp_id)
     # The poses as their rows give them back, so that what was judged is what physics gets, to the bit.

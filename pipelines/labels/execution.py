@@ -114,7 +114,7 @@ def execute_candidate(world: PhysicsWorld, candidate: Candidate, plan: Plan, set
     is_held = _carry(world, plan, setup, monitor)
     T_release = world.object_pose()
     drag_m = _let_go(world, grasp, plan, setup, monitor) if is_held else None
-    # From here on the arm touches nothing, or the object has left the hand: alone it settles at a tenth of the cost.
+    # From here on the arm is in contact with nothing, or the object has left the hand: alone it settles at a tenth of the cost.
     world.remove_robot()
     is_settled = settle(world, params.max_settle_steps, monitor.film)
     T_final = world.object_pose()
@@ -190,14 +190,14 @@ class _Monitor:
         """Slip and collisions while the object is held; True once it is dropped."""
         slip_m, slip_rad = pose_difference(self.T_tcp_object, self.world.inhand_pose())
         self.slip_m, self.slip_rad = max(self.slip_m, slip_m), max(self.slip_rad, slip_rad)
-        # The end of the descend sets the object down on the table: only what it hits on the way there is a collision.
+        # The end of the descend sets the object down on the table: only contact with an obstacle on the way there is a collision.
         self._collide("object", "obstacles" if phase is Phase.DESCEND else "everything")
         self._collide("robot", "everything")
         self.film(phase)
         return slip_m > self.params.dropped_m
 
     def released(self, phase: Phase) -> bool:
-        """Collisions of the arm, and whether it still touches the object while it retreats; True once it cannot any more."""
+        """Collisions of the arm, and whether it is still in contact with the object while it retreats; True once it cannot any more."""
         self._collide("robot", "everything")
         self.film(phase)
         if phase is not Phase.RETREAT:
@@ -272,7 +272,7 @@ def run(unit: Unit) -> UnitResult:
         rows.append(row)
         timings.append(timing_row("execution_labels", row["candidate_id"], start))
         start = time.process_time_ns()
-    if timings:  # the engine's end
+    if timings:  # the end of the engine
         timings[-1]["core_ms"] += (time.process_time_ns() - start) / 1e6
     return UnitResult({"execution_labels": rows}, timings)
 

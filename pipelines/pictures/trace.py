@@ -1,4 +1,4 @@
-"""An execution as an MCAP file (joint states, object pose, contacts, phase) and back; running it is the stages'."""
+"""An execution as an MCAP file (joint states, object pose, contacts, phase) and back; see labels/execution.py for how it is run."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Trace:
 
 
 class TraceRecorder:
-    """Context manager that writes what a world does; `record` is a rollout's watch. Equal executions give equal bytes.
+    """Context manager that writes what a world does; `record` is a watch of a rollout. Equal executions give equal bytes.
 
     Args:
         path: the file to write.

@@ -18,31 +18,20 @@ _GHOST_OPACITY = 0.5
 _PICTURE_SHARPNESS = 2  # rendered at twice the size and averaged: the renderer does not smooth edges
 
 
-def render_scene(
-    object_model: ObjectModel,
-    scene: Scene,
-    size_px: tuple[int, int] = (640, 480),
-    *,
-    show_targets_as_ghosts: bool = True,
-    robot_q: Float[np.ndarray, "7"] | None = None,
-) -> UInt8[np.ndarray, "h w 3"]:
+def render_scene(object_model: ObjectModel, scene: Scene, size_px: tuple[int, int] = (640, 480)) -> UInt8[np.ndarray, "h w 3"]:
     """A picture of a scene for people: object blue, obstacles brown, targets as green ghosts.
 
     Args:
         size_px: width and height.
-        robot_q: draw the arm at this configuration with an open hand.
     """
     view = picture_view(size_px)
     with Renderer() as renderer:
         build_scene(renderer, object_model, scene)
-        if robot_q is not None:
-            renderer.pose_robot(renderer.add_robot(), robot_q, np.array([0.04, 0.04]))
         picture = renderer.photograph(view).rgb.astype(np.float64)
-        if show_targets_as_ghosts:
-            for target in scene.targets:
-                renderer.add_mesh(object_model.mesh, target.T_base_target, GHOST_RGB)
-            ghosts = renderer.photograph(view)
-            picture += _GHOST_OPACITY * (ghosts.rgb - picture)
+        for target in scene.targets:
+            renderer.add_mesh(object_model.mesh, target.T_base_target, GHOST_RGB)
+        ghosts = renderer.photograph(view)
+        picture += _GHOST_OPACITY * (ghosts.rgb - picture)
     return shrunk(picture)
 
 

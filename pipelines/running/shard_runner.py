@@ -56,7 +56,7 @@ class StageReport:
 
 @dataclass(frozen=True, slots=True)
 class ShardInputs:
-    """What a stage reads besides the shard's own tables: recipe, objects and the hashes of their tables, allocations of the scenes."""
+    """What a stage reads besides tables of the same shard: recipe, objects and the hashes of their tables, allocations of the scenes."""
 
     recipe: Recipe
     object_models: Mapping[str, ObjectModel]
@@ -188,7 +188,7 @@ def _publish(
     parts: SceneParts,
     made_from: Mapping[str, str],
 ) -> dict[str, Sidecar]:
-    """Join the scenes, hold them against the stage's law, and write what is lawful: a published table always is."""
+    """Join the scenes, hold them against the law of the stage, and write what is lawful: a published table always is."""
     scene_ids = [allocation.scene_id for allocation in inputs.allocations]
     made = {schema.name: parts.joined(schema, scene_ids) for schema in stage.outputs}
     errors = stage.law({**upstream, **made}, inputs.promise)

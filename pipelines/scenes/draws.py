@@ -1,10 +1,10 @@
-"""One draw of an object, an obstacle or a target, and why it is rejected; putting a scene together is scene_sampling's."""
+"""One draw of an object, an obstacle or a target, and why it is rejected; see sampling.py for how a scene is put together."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
 
@@ -79,6 +79,15 @@ class Placed:
     drift: tuple[float, float]
 
 
+@dataclass(slots=True)
+class Arrangement:
+    """What stands in a scene so far."""
+
+    start: Placed
+    obstacles: list[Obstacle] = field(default_factory=list)
+    targets: list[Placed] = field(default_factory=list)
+
+
 @dataclass(frozen=True, slots=True)
 class Draws:
     """What an attempt draws from and where it records rejections."""
@@ -123,43 +132,33 @@ def draw_object(draws: Draws, rng: np.random.Generator, draw: int) -> Placed | s
     return Placed(rest, pose, matrix_of(pose), footprint(object_model, rested[0]), rested[1])
 
 
-def draw_obstacle(
-    params: SceneSamplingParams, obstacle_id: int, start: Placed, others: list[Obstacle], rng: np.random.Generator, draw: int
-) -> Obstacle | str:
+def draw_obstacle(params: SceneSamplingParams, scene: Arrangement, rng: np.random.Generator, draw: int) -> Obstacle | str:
     """A box on the way from the object to a random spot of the workspace, or one beside the object."""
-    size_m = np.array(params.obstacle_size_m)
+    size_m, start = np.array(params.obstacle_size_m), scene.start
     yaw_rad, object_xy = rng.uniform(-math.pi, math.pi), start.T[:2, 3]
     if rng.random() < params.share_between:
         xy = object_xy + rng.uniform(0.3, 0.7) * (spot_in_sector(rng, params.radius_m, params.angle_rad) - object_xy)
     else:
         angle_rad, wanted_m = rng.uniform(-math.pi, math.pi), rng.uniform(params.object_gap_m, params.near_gap_m[1])
         xy = beside(object_xy, start.outline, lambda at: box_footprint(standing(at, yaw_rad), size_m), angle_rad, wanted_m)
-    obstacle = Obstacle(obstacle_id, standing(xy, yaw_rad, size_m[2]), size_m)
+    obstacle = Obstacle(len(scene.obstacles), standing(xy, yaw_rad, size_m[2]), size_m)
     box = box_footprint(obstacle.T_base_obstacle, size_m)
     if not is_in_sector(xy, params.obstacle_radius_m, (-math.pi, math.pi)):
         return "outside the workspace"
     if gap_m(box, start.outline) < params.object_gap_m - 1e-3:
         return "too near to the object"
-    if any(gap_m(box, box_footprint(o.T_base_obstacle, o.size_m)) < params.obstacle_gap_m for o in others):
+    if any(gap_m(box, box_footprint(o.T_base_obstacle, o.size_m)) < params.obstacle_gap_m for o in scene.obstacles):
         return "too near to another obstacle"
     return obstacle
 
 
-def draw_target(
-    draws: Draws,
-    target_id: int,
-    start: Placed,
-    obstacles: list[Obstacle],
-    targets: list[Placed],
-    rng: np.random.Generator,
-    draw: int,
-) -> Placed | str:
+def draw_target(draws: Draws, scene: Arrangement, rng: np.random.Generator, draw: int) -> Placed | str:
     """A resting pose beside an obstacle or anywhere; cheap rejections first, physics last."""
-    object_model, params = draws.object_model, draws.params
-    rest = _draw_rest(draws, start.rest, target_id, draw)
+    object_model, params, target_id = draws.object_model, draws.params, len(scene.targets)
+    rest = _draw_rest(draws, scene.start.rest, target_id, draw)
     yaw_rad = rng.uniform(-math.pi, math.pi)
-    if obstacles and rng.random() < params.share_beside_obstacle:
-        near = obstacles[int(rng.integers(len(obstacles)))]
+    if scene.obstacles and rng.random() < params.share_beside_obstacle:
+        near = scene.obstacles[int(rng.integers(len(scene.obstacles)))]
         box, angle_rad, wanted_m = _outline(near), rng.uniform(-math.pi, math.pi), rng.uniform(*params.near_gap_m)
         placed = partial(_outline_at, object_model, rest, yaw_rad)
         xy = beside(near.T_base_obstacle[:2, 3], box, placed, angle_rad, wanted_m)
@@ -171,11 +170,11 @@ def draw_target(
     outline = footprint(object_model, T)
     if not is_in_sector(xy, params.radius_m, params.angle_rad):
         return "outside the workspace"
-    if np.linalg.norm(T[:3, 3] - start.T[:3, 3]) < params.min_move_m:
+    if np.linalg.norm(T[:3, 3] - scene.start.T[:3, 3]) < params.min_move_m:
         return "too near to the object's initial pose"
-    if any(gap_m(outline, _outline(obstacle)) < params.target_gap_m - 1e-3 for obstacle in obstacles):
+    if any(gap_m(outline, _outline(obstacle)) < params.target_gap_m - 1e-3 for obstacle in scene.obstacles):
         return "too near to an obstacle"
-    if any(_is_same(object_model, T, other.T, params) for other in targets):
+    if any(_is_same(object_model, T, other.T, params) for other in scene.targets):
         return "too like another target"
     if not draws.hands.allows(T, params.min_target_grasps):
         return f"fewer than {params.min_target_grasps} grasps within reach ({rest.resting})"
@@ -210,13 +209,13 @@ def _is_same(object_model: ObjectModel, T_a: Float[np.ndarray, "4 4"], T_b: Floa
     return is_near and object_model.rotation_error_rad(T_a[:3, :3], T_b[:3, :3]) < params.min_target_turn_rad
 
 
-def is_relevant(obstacle: Obstacle, start: Placed, targets: list[Placed], params: SceneSamplingParams) -> bool:
-    """Next to a target, or across the straight way from the object to one (the object's own width counts)."""
+def is_relevant(obstacle: Obstacle, scene: Arrangement, params: SceneSamplingParams) -> bool:
+    """Next to a target, or across the straight way from the object to one (the width of the object counts)."""
     box = _outline(obstacle)
-    if any(gap_m(box, target.outline) <= params.near_gap_m[1] for target in targets):
+    if any(gap_m(box, target.outline) <= params.near_gap_m[1] for target in scene.targets):
         return True
-    half_width_m = 0.5 * float(np.ptp(start.outline, axis=0).min())
-    return any(gap_m(box, np.stack([start.T[:2, 3], target.T[:2, 3]])) <= half_width_m for target in targets)
+    half_width_m = 0.5 * float(np.ptp(scene.start.outline, axis=0).min())
+    return any(gap_m(box, np.stack([scene.start.T[:2, 3], target.T[:2, 3]])) <= half_width_m for target in scene.targets)
 
 
 def _outline(obstacle: Obstacle) -> Polygon:

@@ -14,6 +14,8 @@ from objects.object_model import ObjectModel
 Xy = Float[np.ndarray, "2"]
 Polygon = Float[np.ndarray, "n 2"]
 
+# Beside an object is no further than this from its centre.
+_FURTHEST_M = 0.5
 _RECTANGLE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
@@ -49,17 +51,14 @@ def gap_m(a: Polygon, b: Polygon) -> float:
     return float(np.maximum(along_b.min(axis=1) - along_a.max(axis=1), along_a.min(axis=1) - along_b.max(axis=1)).max())
 
 
-def beside(
-    centre_xy: Xy, fixed: Polygon, moved: Callable[[Xy], Polygon], angle_rad: float, wanted_gap_m: float, reach_m: float = 0.5
-) -> Xy:
+def beside(centre_xy: Xy, fixed: Polygon, moved: Callable[[Xy], Polygon], angle_rad: float, wanted_gap_m: float) -> Xy:
     """Where something is so far out from `centre_xy` in a direction that its outline leaves `wanted_gap_m` to a fixed one.
 
     Args:
         moved: outline of what is placed, at a spot.
-        reach_m: furthest spot considered.
     """
     direction = np.array([math.cos(angle_rad), math.sin(angle_rad)])
-    low_m, high_m = 0.0, reach_m
+    low_m, high_m = 0.0, _FURTHEST_M
     for _ in range(12):  # bisection to 0.1 mm
         middle_m = (low_m + high_m) / 2
         if gap_m(fixed, moved(centre_xy + middle_m * direction)) < wanted_gap_m:

@@ -1,4 +1,4 @@
-"""The numbers of the physics recipe and why they are what they are; what is built with them is world's."""
+"""The numbers of the physics recipe and why they are what they are; see building.py for what is built with them."""
 
 from __future__ import annotations
 

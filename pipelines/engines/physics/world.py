@@ -1,4 +1,4 @@
-"""One physics world: table, obstacles, object and Panda in a PyBullet client of its own; motions and verdicts are rollout's.
+"""One physics world: table, obstacles, object and Panda in a PyBullet client of its own; see rollout.py for motions.
 
 A state is never saved and restored (Bullet's restore is not reproducible): `rebuild` makes the world anew in a fixed order, and
 what follows is bit-identical in any order and process.
@@ -109,7 +109,7 @@ class PhysicsWorld:
             self._ids["robot"] = self._robot.body
 
     def remove_robot(self) -> None:
-        """Take the arm out of the world: what the object does from here on is its own affair, at a third of the cost."""
+        """Take the arm out of the world: the object moves on alone, at a third of the cost."""
         robot = self._ids.pop("robot", None)
         if robot is not None:
             pybullet.removeBody(robot, physicsClientId=self._client)

@@ -1,7 +1,7 @@
 """A collision-free joint path from a start to the best of some goals: straight first, RRTConnect where that is blocked.
 
-Collision is behind a callable, timing is trajectory's. Budgets are counts and the random seed is the caller's, so a path depends on
-the arguments alone.
+Collision is behind a callable; see trajectory.py for timing. Budgets are counts and the random seed is an argument, so a path depends
+on the arguments alone.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def search_path(
     planner.setProblemDefinition(problem)
     planner.setup()
     last_check = checks.n_checks + params.max_checks
-    # A Python bool: numpy's raises std::bad_cast, and only once the budget is spent.
+    # A Python bool: one of numpy raises std::bad_cast, and only once the budget is spent.
     planner.solve(ob.PlannerTerminationCondition(lambda: bool(checks.n_checks >= last_check)))
     if not problem.hasExactSolution():
         return None

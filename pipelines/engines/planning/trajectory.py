@@ -1,4 +1,4 @@
-"""When a joint path is where: timing of paths by ruckig within scaled joint limits and a TCP speed; finding paths is planner's.
+"""When a joint path is where: timing of paths by ruckig within scaled joint limits and a TCP speed; see planner.py for how paths are found.
 
 Every piece of a path has one scalar progress that ruckig moves from rest to rest, so the arm stays exactly on the path that was
 checked for collision (seven separate joint profiles would not).

@@ -1,6 +1,6 @@
-"""The Franka Panda arm: limits, forward and inverse kinematics, straight TCP lines; collision and timing are pipelines.engines.planning's.
+"""The Franka Panda arm: limits, forward and inverse kinematics, straight TCP lines; see engines/planning/ for collision and timing.
 
-Forward and inverse kinematics are frankik's closed forms; tests hold them against pinocchio and pybullet on the URDF.
+Forward and inverse kinematics are the closed forms of frankik; tests hold them against pinocchio and pybullet on the URDF.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from jaxtyping import Float
 from objects.gripper import TCP_FROM_HAND_M
 from tables.poses import inverse
 
-# Limits of the real Panda, Franka Control Interface documentation ("Robot and interface specifications"); pybullet's URDF has wider ones.
+# Limits of the real Panda, Franka Control Interface documentation ("Robot and interface specifications"); the URDF in pybullet_data
+# has wider ones.
 Q_LOWER_RAD = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
 Q_UPPER_RAD = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
 QD_MAX_RAD_S = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])

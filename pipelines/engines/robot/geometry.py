@@ -1,6 +1,6 @@
-"""Collision shapes of the Panda for pinocchio and coal, made once a process; which of them may touch is planning.collision's.
+"""Collision shapes of the Panda for pinocchio and coal, made once a process; see planning/collision.py for which of them may overlap.
 
-Links and hand are convex hulls of pybullet_data's collision meshes, fingers are the boxes of objects.gripper, so that grasp pool,
+Links and hand are convex hulls of the collision meshes in pybullet_data, fingers are the boxes of objects.gripper, so that grasp pool,
 planning and physics close the same fingers.
 """
 
@@ -58,7 +58,7 @@ class Panda:
 
 @lru_cache(maxsize=1)
 def panda() -> Panda:
-    """The robot of pybullet_data's URDF."""
+    """The robot of the URDF in pybullet_data."""
     folder = Path(pybullet_data.getDataPath()) / "franka_panda"
     model = pin.buildModelFromUrdf(str(folder / "panda.urdf"))
     T_link7_hand = model.frames[model.getFrameId("panda_hand")].placement.homogeneous

@@ -1,8 +1,8 @@
-"""Signed distances between the bodies of one scene by pybullet's collision engine; which may overlap is the caller's to say.
+"""Signed distances between the bodies of one scene by the collision engine of pybullet; the caller says which may overlap.
 
-Nothing is shared with engines.planning: kinematics are pybullet's on its own URDF, the arm's links the hulls that pybullet makes of
-their meshes, distances Bullet's GJK. Common are only the inputs: catalogue geometry, the scene and the finger boxes of the benchmark
-(the hull of the URDF's finger mesh sticks out of them by up to 3.6 mm).
+Nothing is shared with engines/planning: pybullet computes the kinematics from its own URDF and makes the hulls of the links from their
+meshes, Bullet measures distances by its GJK. Common are only the inputs: catalogue geometry, the scene and the finger boxes of the
+benchmark (the hull of the finger mesh in the URDF sticks out of them by up to 3.6 mm).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class Nearest:
-    """The pair with the least room: its distance less what is required, at most FAR_M less that; negative is a hit."""
+    """The pair with the least room: its distance less what is required, at most FAR_M less that; negative is a collision."""
 
     room_m: float
     pair: Pair | None
@@ -77,7 +77,7 @@ class BulletScene:
 
     Args:
         exact: the object and link6 as the triangle meshes they are instead of their convex parts and hull. A triangle mesh is hollow:
-            what is wholly inside touches nothing.
+            what is wholly inside is in no collision.
     """
 
     def __init__(self, scene: Scene, object_model: ObjectModel, *, exact: bool = False) -> None:
@@ -168,7 +168,7 @@ class BulletScene:
         pose_a, pose_b = (poses[piece.body][k if len(poses[piece.body]) > 1 else 0].tolist() for piece in (a, b))
         room_m = self._distance_m(a.number, pose_a, b.number, pose_b) - pair.required_m
         for exact, convex, (pose, other) in ((a, b, (pose_a, pose_b)), (b, a, (pose_b, pose_a))):
-            # Bullet tests triangles against convex bodies only; of two meshes each is tested against the other's hull.
+            # Bullet tests triangles against convex bodies only; of two meshes each is tested against the hull of the other.
             if room_m < 0.0 and exact.mesh_number is not None:
                 room_m = self._distance_m(exact.mesh_number, pose, convex.number, other) - pair.required_m
         return room_m
