@@ -109,8 +109,8 @@ def load_checkpoint(directory: Path) -> tuple[Ranker, TrainingIdentity, Progress
     described = _read_description(directory)
     identity, progress = _parsed(path, described)
     weights = _read_weights(directory / _WEIGHTS, str(described.get("weights_sha256")))
-    check_weights(identity, weights, directory / _WEIGHTS)
     ranker = Ranker(identity.settings, identity.variant, None)
+    check_weights(ranker, weights, directory / _WEIGHTS)
     ranker.load_state_dict(weights)
     found = _sha256_of(described)
     # Last: a size that does not fit the weights is named above; this finds what weights cannot tell, such as another number of points.
@@ -136,18 +136,13 @@ def input_errors(directory: Path) -> list[str]:
     return column_errors(selected)
 
 
-def check_weights(identity: TrainingIdentity, weights: Mapping[str, torch.Tensor], path: Path) -> None:
-    """Raise CheckpointError where weights read from `path` are not finite or not those of a ranker with the settings of `identity`."""
-    # Sizes are compared before memory is asked for: a network of absurd sizes costs nothing on the meta device.
-    try:
-        with torch.device("meta"):
-            expected = Ranker(identity.settings, identity.variant, None).state_dict()
-    except (RuntimeError, TypeError, OverflowError) as error:
-        raise CheckpointError(f"{path}: no network has the sizes of its settings ({one_line(error)})") from error
+def check_weights(ranker: Ranker, weights: Mapping[str, torch.Tensor], path: Path) -> None:
+    """Raise CheckpointError where weights read from `path` are not finite or do not fit a ranker."""
+    expected = ranker.state_dict()
     strange = sorted(expected.keys() ^ weights.keys())
     if strange:
         problem = "missing from" if strange[0] in expected else "not a weight of"
-        raise CheckpointError(f"{path}: {strange[0]} is {problem} a ranker of variant {identity.variant.value} with its settings")
+        raise CheckpointError(f"{path}: {strange[0]} is {problem} a ranker of variant {ranker.variant.value} with its settings")
     for name, tensor in weights.items():
         mine, theirs = (f"{t.dtype} {list(t.shape)}" for t in (tensor, expected[name]))
         if mine != theirs:

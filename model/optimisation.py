@@ -117,7 +117,7 @@ class Run:
             return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
         for weights in (under("weights/"), under("best/")):
-            check_weights(self.identity, weights, path)
+            check_weights(self.ranker, weights, path)
         self.ranker.load_state_dict(under("weights/"))
         self.best_weights = under("best/")
         for name, parameter in self.ranker.named_parameters():

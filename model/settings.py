@@ -21,6 +21,10 @@ class Variant(StrEnum):
     NO_TARGET_HYPOTHESIS = "no_target_hypothesis"  # the cloud without the virtual target copy, nothing else changes
 
 
+# Far beyond any use; a checkpoint whose sizes were edited must not ask for more memory than there is.
+WIDEST, MOST_LAYERS, MOST_FREQUENCIES = 4096, 8, 16
+
+
 @dataclass(frozen=True, slots=True)
 class RankerSettings:
     """Sizes of the network, fixed normalisation, loss weights and optimisation. The defaults are the `full` setting."""
@@ -92,8 +96,12 @@ class RankerSettings:
             if len(getattr(self, field)) != 3:
                 raise SettingsError(f"{field}: {getattr(self, field)}, must have 3 numbers")
         for field in ("widths_1", "widths_2"):
-            if len(getattr(self, field)) < 2 or min(getattr(self, field)) < 1:
-                raise SettingsError(f"{field}: {getattr(self, field)}, must be at least 2 widths of at least 1")
+            widths = getattr(self, field)
+            if not 2 <= len(widths) <= MOST_LAYERS or min(widths) < 1 or max(widths) > WIDEST:
+                raise SettingsError(f"{field}: {widths}, must be 2 to {MOST_LAYERS} widths of 1 to {WIDEST}")
+        for field, most in (("width_global", WIDEST), ("n_type_features", WIDEST), ("n_frequencies", MOST_FREQUENCIES)):
+            if getattr(self, field) > most:
+                raise SettingsError(f"{field}: {getattr(self, field)}, must be at most {most}")
 
 
 _POSITIVE = (
