@@ -18,6 +18,7 @@ import pyarrow as pa
 from dagster import DataVersion, MaterializeResult
 
 from assets_def.metadata import table_metadata
+from pipelines.running.lock import locked
 from tables.columns import TableSchema
 from tables.files import file_sha256, write_text_atomically
 from tables.sidecar import Sidecar, find_published
@@ -60,7 +61,8 @@ class TableProduct:
         sidecar = self.current()
         is_reused = sidecar is not None
         if sidecar is None:
-            sidecar = write_table(self.schema, make(), self.path, self.made_from, of=self.of)
+            with locked(self.path.with_name(f".{self.path.name}.lock"), f"{self.schema.name} of {self.of}"):
+                sidecar = write_table(self.schema, make(), self.path, self.made_from, of=self.of)
         metadata = table_metadata(self.schema, self.path, sidecar) | {"reused": is_reused}
         yield MaterializeResult(self.asset or self.schema.name, metadata=metadata, data_version=DataVersion(sidecar.content_hash))
 
@@ -108,9 +110,10 @@ class FilesProduct:
         record = self.current()
         if record is not None:
             return record, True
-        self.path.unlink(missing_ok=True)
-        files, facts = make()
-        hashes = {os.path.relpath(file, self.path.parent): file_sha256(file) for file in sorted(files)}
-        record = Record(dict(self.made_from), hashes, facts)
-        write_text_atomically(self.path, json.dumps(asdict(record), indent=1, sort_keys=True) + "\n")
+        with locked(self.path.with_name(f".{self.path.name}.lock"), str(self.path)):
+            self.path.unlink(missing_ok=True)
+            files, facts = make()
+            hashes = {os.path.relpath(file, self.path.parent): file_sha256(file) for file in sorted(files)}
+            record = Record(dict(self.made_from), hashes, facts)
+            write_text_atomically(self.path, json.dumps(asdict(record), indent=1, sort_keys=True) + "\n")
         return record, False

@@ -98,7 +98,7 @@ def _train(benchmark: Benchmark, key: RankerKey) -> tuple[list[Path], dict[str, 
         "validation_candidates": result.n_validation_candidates,
         "history": list(result.history),
     }
-    return [path for path in out_dir.iterdir() if path.is_file()], facts
+    return [path for path in out_dir.iterdir() if path.is_file() and not path.name.startswith(".")], facts
 
 
 def _ranker_products(benchmark: Benchmark, partition: str) -> tuple[FilesProduct]:

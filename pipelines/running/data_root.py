@@ -53,10 +53,6 @@ class DataRoot:
         """Held by whoever makes tables of the shard."""
         return self.path / "shards" / shard / ".lock"
 
-    def tier_lock(self, tier: str) -> Path:
-        """Held by whoever makes tables, rankers or the release of the tier."""
-        return self.path / "tiers" / tier / ".lock"
-
     def read_objects(self) -> dict[str, pa.Table]:
         """The five object tables by name."""
         return {name: read_table(ALL_SCHEMAS[name], self.object_table(name)) for name in OBJECT_TABLES}

@@ -15,6 +15,7 @@ from pipelines import stages
 from pipelines.codecs import known_in, rows_by_scene
 from pipelines.recipe import Recipe
 from pipelines.running.data_root import DataRoot
+from pipelines.running.lock import locked
 from pipelines.running.unfinished import SceneCollector, SceneParts
 from pipelines.running.workers import run_units
 from pipelines.scenes.allocation import scene_allocation
@@ -96,7 +97,21 @@ def run_stage(
     Raises:
         StageError: at least one scene failed. Finished scenes stay on disk, and the next run makes only the missing ones.
         StoreError: an upstream table is not published.
+        LockError: somebody else builds this shard; names the owner.
     """
+    with locked(root.shard_lock(shard), f"shard {shard}"):
+        return _run_stage(stage, shard, root, inputs, n_workers, on_progress, log)
+
+
+def _run_stage(
+    stage: Stage,
+    shard: str,
+    root: DataRoot,
+    inputs: ShardInputs,
+    n_workers: int,
+    on_progress: Callable[[Progress], None],
+    log: Callable[[str], object],
+) -> StageReport:
     start = time.perf_counter()
     made_from = _made_from(stage, shard, root, inputs)
     published = _published(stage, shard, root, made_from, log)

@@ -15,6 +15,7 @@ from objects.object_model import ObjectModel
 from pipelines.recipe import Recipe
 from pipelines.running import shard_runner, unfinished
 from pipelines.running.data_root import DataRoot
+from pipelines.running.lock import LockError
 from pipelines.running.shard_runner import Progress, ShardInputs, StageError, is_published, run_stage
 from pipelines.stage import Stage, Unit, UnitResult
 from pipelines.values import SceneAllocation
@@ -106,6 +107,20 @@ def test_a_damaged_sidecar_is_told_and_made_again(tmp_path: Path, inputs: ShardI
     assert len(told) == 1
     assert told[0].startswith("splits of mini-000: ")
     assert told[0].endswith("; made again")
+
+
+def test_a_shard_that_somebody_builds_is_refused_at_once(tmp_path: Path, inputs: ShardInputs) -> None:
+    root, refused = DataRoot(tmp_path), []
+
+    def meanwhile(progress: Progress) -> None:
+        if progress.done == 1:
+            with pytest.raises(LockError, match=r"shard mini-000 is being built by this process already") as error:
+                run_stage(_stage(), SHARD, root, inputs, 0)
+            refused.append(str(error.value))
+
+    run_stage(_stage(), SHARD, root, inputs, 0, meanwhile)
+    assert len(refused) == 1
+    assert run_stage(_stage(), SHARD, root, inputs, 0).is_reused
 
 
 def test_a_table_of_another_shard_does_not_count(tmp_path: Path, inputs: ShardInputs) -> None:
