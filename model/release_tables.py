@@ -64,7 +64,7 @@ def published_sha256(release_dir: Path, tables: Iterable[str]) -> dict[str, str]
         InputError: a table is missing, differs from its sidecar or from the manifest, or one of the two cannot be read.
     """
     manifest = release_dir / _MANIFEST
-    listed = _json_object(manifest).get("tables") if manifest.exists() else None
+    listed = _json_object(manifest).get("files") if manifest.exists() else None
     found = {}
     for table in tables:
         path = _table_path(release_dir, table)
@@ -72,7 +72,7 @@ def published_sha256(release_dir: Path, tables: Iterable[str]) -> dict[str, str]
         if sidecar_path(path).exists():
             _check_sha256(path, found[table], sidecar_path(path), _json_object(sidecar_path(path)))
         if manifest.exists():
-            entry = listed.get(table) if isinstance(listed, dict) else None
+            entry = listed.get(path.name) if isinstance(listed, dict) else None
             if not isinstance(entry, dict):
                 raise InputError(f"{manifest}: does not list table {table}, which the ranker reads")
             _check_sha256(path, found[table], manifest, entry)

@@ -69,5 +69,5 @@ def name_weights(checkpoint: Path) -> None:
 
 def write_manifest(release: Path) -> None:
     """A manifest of what is there, as far as the ranker reads one."""
-    tables = {path.stem: {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()} for path in release.glob("*.parquet")}
-    (release / "manifest.json").write_text(json.dumps({"name": "placebench", "tables": tables}))
+    files = {path.name: {"sha256": hashlib.sha256(path.read_bytes()).hexdigest()} for path in release.glob("*.parquet")}
+    (release / "manifest.json").write_text(json.dumps({"name": "placebench", "files": files}))

@@ -223,7 +223,7 @@ def test_a_table_that_the_manifest_contradicts_is_named(commands: Commands) -> N
 
 def test_a_manifest_that_does_not_list_a_table_is_named(commands: Commands) -> None:
     write_manifest(commands.release)
-    edit_json(commands.release / "manifest.json", lambda manifest: manifest["tables"].pop("grasps"))
+    edit_json(commands.release / "manifest.json", lambda manifest: manifest["files"].pop("grasps.parquet"))
     assert commands.both().endswith("manifest.json: does not list table grasps, which the ranker reads")
 
 

@@ -228,9 +228,8 @@ def test_locks_of_different_things_are_independent(tmp_path: Path) -> None:
         locked(root.shard_lock("full-000"), "shard full-000"),
         locked(root.shard_lock("full-001"), "shard full-001"),
         locked(root.objects_lock(), "object tables"),
-        locked(root.tier_lock("pilot"), "tier pilot"),
     ):
-        assert "tier pilot is being built" in _refused(root.tier_lock("pilot"), "tier pilot")
+        assert "shard full-001 is being built" in _refused(root.shard_lock("full-001"), "shard full-001")
     assert _is_free(root.objects_lock())
 
 
@@ -278,7 +277,7 @@ def test_what_cannot_be_locked_says_so(tmp_path: Path) -> None:
     (tmp_path / "shards").write_text("a file in the place of a folder")
     with pytest.raises(LockError, match=r"shard mini-000: .*\.lock cannot be locked: "):
         _is_free(DataRoot(tmp_path).shard_lock("mini-000"))
-    folder = DataRoot(tmp_path).tier_lock("mini")
+    folder = DataRoot(tmp_path).objects_lock()
     folder.mkdir(parents=True)
     with pytest.raises(PlaceBenchError, match="cannot be locked: Is a directory"):
         _is_free(folder)

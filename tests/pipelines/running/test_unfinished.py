@@ -9,7 +9,8 @@ import pytest
 
 from pipelines.running.data_root import DataRoot
 from pipelines.running.unfinished import SceneParts
-from pipelines.stages import STAGE, UnitResult
+from pipelines.stage import UnitResult
+from pipelines.stages import STAGE
 from tables.identity import candidate_id_of
 from tables.schemas import CANDIDATE_PAIRS
 from tables.store import sidecar_path
