@@ -18,14 +18,9 @@ from model.inputs import FIVE_INPUTS, FORBIDDEN_COLUMNS, KEY_COLUMNS, InputReade
 from model.release_tables import read_table_columns
 from model.settings import RankerSettings
 from model.training import train
-from tests.model.damage import copy_of, edit_json, rewrite
+from tests.model.damage import edit_json, rewrite
 
 _LABELS = ["y_plan", "y_pipe"]
-
-
-@pytest.fixture
-def copy(checkpoint: Path, tmp_path: Path) -> Path:
-    return copy_of(checkpoint, tmp_path / "checkpoint")
 
 
 def test_a_trained_checkpoint_records_the_contract(checkpoint: Path) -> None:
