@@ -137,7 +137,7 @@ _RELATIONS: dict[str, tuple[Callable[[float, float], bool], str]] = {
 
 
 def _waits(recipe: Recipe) -> tuple[tuple[str, str, float], ...]:
-    """Durations that must be long enough for what happens in them: key, what sets the least duration, that duration."""
+    """Seconds and steps that must be enough for what happens in them: key, what sets the least, the least."""
     finger_m_s, physics = recipe.physics.finger_speed_m_s, recipe.physics
     fall_s = math.sqrt(2 * recipe.planning.release_height_m / GRAVITY_M_S2)
     return (
