@@ -67,6 +67,10 @@ def build(tier: str, benchmark: Benchmark, until: str) -> None:
         _run("objects", [object_assets], None, benchmark)
         outcome.append("checked")
     _build_shards(tier, benchmark)
+    _build_steps(tier, benchmark, until)
+
+
+def _build_steps(tier: str, benchmark: Benchmark, until: str) -> None:
     for step, partition, name in _steps(tier, until):
         with _line(name) as outcome:
             if step.is_done(benchmark, partition):
@@ -145,11 +149,12 @@ def _reason(result: ExecuteInProcessResult) -> str:
             return f"check {check.asset_key.to_user_string()}.{check.check_name}: {_first_line(str(found.value if found else ''))}"
     for event in result.all_events:
         error = event.step_failure_data.error if event.is_step_failure else None
-        while error is not None and error.cause is not None:
+        # Dagster wraps what a step raises; what that was raised from is a detail again.
+        while error is not None and error.cause is not None and (error.cls_name or "").startswith("Dagster"):
             error = error.cause
+        if error is not None and error.cls_name == DagsterExecutionInterruptedError.__name__:
+            raise KeyboardInterrupt
         if error is not None:
-            if error.cls_name in (DagsterExecutionInterruptedError.__name__, KeyboardInterrupt.__name__):
-                raise KeyboardInterrupt
             return _first_line(error.message)
     return next((_first_line(str(event.message)) for event in result.all_events if event.is_failure), "no reason given")
 

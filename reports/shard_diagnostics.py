@@ -115,7 +115,7 @@ def _by_shard(frame: pl.DataFrame) -> pl.dataframe.group_by.GroupBy:
 
 def _flagged(flagged: Sequence[tuple[str, str, float]], n_shards: int) -> str:
     if n_shards < MIN_SHARDS:
-        return f"{n_shards} shards are too few to say."
+        return f"Too few to say: {n_shards}, at least {MIN_SHARDS} are needed."
     rows = [[f"`{shard}`", MEASURES[name], f"{z:+.1f}"] for shard, name, z in sorted(flagged)]
     return table(["shard", "measure", "z"], rows) if rows else f"None of {n_shards}."
 
