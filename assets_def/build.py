@@ -41,6 +41,7 @@ from pipelines.recipe import RecipeError
 from pipelines.running.shard_runner import is_published
 from pipelines.stages import STAGES
 from splits.errors import ReleaseError
+from tables.errors import PlaceBenchError
 from tables.identity import TIERS, IdentityError, shards_of_tier
 from tables.store import StoreError
 
@@ -48,7 +49,7 @@ CONSOLE, ERRORS = Console(), Console(stderr=True)
 INTERRUPTED = 130  # what a shell reports of a command that Ctrl-C ended
 
 
-class BuildError(RuntimeError):
+class BuildError(PlaceBenchError, RuntimeError):
     """A Dagster run that failed; says in one line which step and why, and which run has the whole log."""
 
 

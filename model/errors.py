@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from tables.errors import PlaceBenchError
 
-class RankerError(ValueError):
+
+class RankerError(PlaceBenchError, ValueError):
     """Base of every error that this package raises on purpose; the message is one line."""
 
 

@@ -32,6 +32,7 @@ from pipelines.scenes.points import CameraParams
 from pipelines.scenes.sampling import SceneSamplingParams
 from pipelines.stage import Promise
 from pipelines.values import SceneAllocation
+from tables.errors import PlaceBenchError
 from tables.identity import FAMILIES
 
 DEFAULT_RECIPE = Path(__file__).with_name("recipe.toml")
@@ -39,7 +40,7 @@ DEFAULT_RECIPE = Path(__file__).with_name("recipe.toml")
 _P = TypeVar("_P")
 
 
-class RecipeError(ValueError):
+class RecipeError(PlaceBenchError, ValueError):
     """A recipe that cannot be read or used; one line that names the key, its value and what it must be."""
 
 

@@ -8,10 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tables.errors import PlaceBenchError
 from tables.store import write_bytes_atomically, write_text_atomically
 
 
-class ReportError(ValueError):
+class ReportError(PlaceBenchError, ValueError):
     """A table that a report cannot be made of; names the table or id, the value and the bound."""
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from tables.errors import PlaceBenchError
+
 _MAX_SHOWN = 80
 
 
-class ReleaseError(RuntimeError):
+class ReleaseError(PlaceBenchError, RuntimeError):
     """A release that is incomplete, changed, or wrong; one line that names the file or rule, the value and the bound."""
 
     def __init__(self, message: str) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any
 
+from tables.errors import PlaceBenchError
 from tables.identity import IdentityError, order_key, parse_scene_id, shard_of_scene, shards_of_tier
 from tables.vocabulary import Split
 
@@ -20,7 +21,7 @@ _SPLITS = (Split.TRAIN, Split.VALIDATION, Split.TEST)
 _PILOT_SHARDS = frozenset(shards_of_tier("pilot"))
 
 
-class SplitError(ValueError):
+class SplitError(PlaceBenchError, ValueError):
     """A universe or a parameter that cannot be split; names the scene or field, its value and the bound."""
 
 

@@ -7,11 +7,13 @@ from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from typing import Any, TypeVar
 
+from tables.errors import PlaceBenchError
+
 _T = TypeVar("_T")
 _BOUNDS = "bounds"
 
 
-class BoundsError(ValueError):
+class BoundsError(PlaceBenchError, ValueError):
     """A parameter out of its bounds; the message begins with the parameter's name and its value."""
 
 

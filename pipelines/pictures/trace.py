@@ -16,6 +16,7 @@ from mcap.writer import CompressionType, Writer
 
 from pipelines.engines.physics.rollout import Phase
 from pipelines.engines.physics.world import PhysicsWorld
+from tables.errors import PlaceBenchError
 from tables.poses import matrix_of, pose_of
 
 _NUMBERS = {"type": "array", "items": {"type": "number"}}
@@ -28,7 +29,7 @@ _SCHEMAS: dict[str, dict[str, Any]] = {
 _METADATA = "execution"
 
 
-class TraceError(ValueError):
+class TraceError(PlaceBenchError, ValueError):
     """A file that is not a trace of ours."""
 
 

@@ -19,12 +19,13 @@ from pipelines.recipe import Recipe
 from pipelines.running.workers import UNITS_PER_WORKER_LIFE, run_units
 from pipelines.values import Candidate
 from tables.columns import TableSchema
+from tables.errors import PlaceBenchError
 from tables.identity import order_key
 from tables.schemas import EXECUTION_LABELS, PLANNING_LABELS
 from tables.vocabulary import Perturbation
 
 
-class RepeatError(RuntimeError):
+class RepeatError(PlaceBenchError, RuntimeError):
     """A repeat that could not be run; names the candidate and why."""
 
 

@@ -13,6 +13,7 @@ from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
 from pipelines.scenes.draws import Arrangement, Draws, Placed, SceneSamplingParams, draw_object, draw_obstacle, draw_target, is_relevant
 from pipelines.scenes.reach import OpenHands
 from pipelines.stage import Stage, Unit, UnitResult, timing_row
+from tables.errors import PlaceBenchError
 from tables.identity import parse_scene_id
 from tables.poses import pose_columns
 from tables.schemas import OBSTACLES, SCENE_ATTEMPTS, SCENES, TARGETS
@@ -20,7 +21,7 @@ from tables.schemas import OBSTACLES, SCENE_ATTEMPTS, SCENES, TARGETS
 __all__ = ["SceneError", "SceneSamplingParams", "SceneTables", "sample_scene"]
 
 
-class SceneError(RuntimeError):
+class SceneError(PlaceBenchError, RuntimeError):
     """No valid scene within the attempts; names the scene and what was rejected last."""
 
 
