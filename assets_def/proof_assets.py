@@ -12,14 +12,13 @@ from assets_def.partitions import tier_partitions
 from assets_def.products import TableProduct
 from assets_def.resources import Benchmark
 from assets_def.steps import Step
-from pipelines.decoded import Decoded
 from pipelines.proofs.audit.params import AuditParams
 from pipelines.proofs.audits import N_BUDGET, audit_items, audit_rows, choose_audited
 from pipelines.proofs.repeats import Repeat, attempt_rows, choose_perturbed
 from pipelines.recipe import Recipe
 from pipelines.stages import STAGE
-from reports.load import load_release
 from reports.repeatability import N_REPEATS, N_TASKS_REPEATED, choose_tasks
+from splits.release_reader import Release
 from tables.schemas import ATTEMPTS, AUDITS, OBJECT_TABLES
 from tables.store import table_from_rows
 from tables.vocabulary import Perturbation
@@ -58,21 +57,21 @@ def attempts(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[M
 
 
 def _repeat(benchmark: Benchmark, tier: str) -> pa.Table:
-    tables = load_release(benchmark.root.release(tier), VALUE_TABLES)
-    recipe = benchmark.recipe_of_tier(tier)
-    blind = tables["candidates"].select(["candidate_id", "scene_id", "target_id"])
+    release = Release.open(benchmark.root.release(tier))
+    recipe, candidates = benchmark.recipe_of_tier(tier), release.table("candidates")
+    blind = candidates.select(["candidate_id", "scene_id", "target_id"])
     chosen = [
         *((task.candidate_id, Perturbation.FRESH, k) for task in choose_tasks(blind, recipe.seed) for k in range(task.n_repeats)),
-        *((name, kind, 0) for name, kind in choose_perturbed(tables["candidates"], recipe.seed, N_PERTURBED[tier])),
+        *((name, kind, 0) for name, kind in choose_perturbed(candidates, recipe.seed, N_PERTURBED[tier])),
     ]
-    return table_from_rows(ATTEMPTS, attempt_rows(_repeats(Decoded(tables), recipe, chosen), benchmark.n_workers))
+    return table_from_rows(ATTEMPTS, attempt_rows(_repeats(release, recipe, chosen), benchmark.n_workers))
 
 
-def _repeats(release: Decoded, recipe: Recipe, chosen: Sequence[tuple[str, Perturbation, int]]) -> list[Repeat]:
+def _repeats(release: Release, recipe: Recipe, chosen: Sequence[tuple[str, Perturbation, int]]) -> list[Repeat]:
     repeats = []
     for name, kind, number in chosen:
         candidate = release.candidate(name)
-        repeats.append(Repeat(recipe, release.object_model_of(candidate), candidate, release.labels(name), kind, number))
+        repeats.append(Repeat(recipe, release.values.object_model_of(candidate), candidate, release.values.labels(name), kind, number))
     return repeats
 
 
@@ -109,10 +108,10 @@ def audits(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[Mat
 
 
 def _audit(benchmark: Benchmark, tier: str) -> pa.Table:
-    tables = load_release(benchmark.root.release(tier), VALUE_TABLES)
+    release = Release.open(benchmark.root.release(tier))
     recipe = benchmark.recipe_of_tier(tier)
-    chosen = choose_audited(tables["candidates"], recipe.seed, *N_AUDITED[tier])
-    return table_from_rows(AUDITS, audit_rows(audit_items(chosen, Decoded(tables), recipe), benchmark.n_workers))
+    chosen = choose_audited(release.table("candidates"), recipe.seed, *N_AUDITED[tier])
+    return table_from_rows(AUDITS, audit_rows(audit_items(chosen, release.values, recipe), benchmark.n_workers))
 
 
 def _audits_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct]:

@@ -11,6 +11,10 @@ from jaxtyping import Float
 from tables.identity import IdentityError, candidate_id_of
 from tables.poses import inverse
 
+# The workbench that the arm stands on, top at z = 0, in the base frame.
+TABLE_X_M = (-0.4, 1.1)
+TABLE_Y_M = (-0.9, 0.9)
+
 
 @dataclass(frozen=True, slots=True)
 class SceneAllocation:

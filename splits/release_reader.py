@@ -10,13 +10,16 @@ release.candidates.filter(pl.col("split") == "test")
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 
 import polars as pl
 import pyarrow as pa
 
+from pipelines.decoded import Decoded
 from pipelines.frames import frame_of
+from pipelines.values import Candidate, Scene
 from splits.errors import ReleaseError
 from splits.manifest import Manifest, read_manifest
 from splits.release_folder import check_files, read_released_table
@@ -75,3 +78,33 @@ class Release:
             found = f"scene {lost['scene_id'][0]} is in none" if not lost.is_empty() else f"{joined.height - frame.height} rows too many"
             raise ReleaseError(f"splits: every scene of candidates must be in 1 split; {found}")
         return joined
+
+    @cached_property
+    def values(self) -> Decoded:
+        """Candidates with their labels and plans, scenes and object models by id; the tables they are decoded from are read when asked for."""
+        return Decoded(_TablesOf(self))
+
+    def candidate(self, candidate_id: str) -> Candidate:
+        """A candidate; raises IdentityError where the release has none of that id."""
+        self.values.labels(candidate_id)
+        return self.values.candidate(candidate_id)
+
+    def scene(self, scene_id: str) -> Scene:
+        """A scene; raises IdentityError where the release has none of that id."""
+        return self.values.scene(scene_id)
+
+
+class _TablesOf(Mapping[str, pa.Table]):
+    """The tables of a release by name, each read when it is asked for."""
+
+    def __init__(self, release: Release) -> None:
+        self._release = release
+
+    def __getitem__(self, name: str) -> pa.Table:
+        return self._release.table(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(sorted(self._release.manifest.tables))
+
+    def __len__(self) -> int:
+        return len(self._release.manifest.tables)

@@ -7,7 +7,7 @@ from jaxtyping import Float, UInt8
 
 from objects.object_model import ObjectModel
 from pipelines.pictures.renderer import Renderer, Rgb, View
-from pipelines.values import Scene
+from pipelines.values import TABLE_X_M, TABLE_Y_M, Scene
 from tables.vocabulary import PointType
 
 TABLE_RGB: Rgb = (0.86, 0.84, 0.80)
@@ -55,8 +55,9 @@ def shrunk(picture: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
 def add_table(renderer: Renderer) -> int:
     """The table top."""
     T = np.eye(4)
-    T[:3, 3] = 0.35, 0.0, -0.02
-    return renderer.add_box(np.array([1.5, 1.8, 0.04]), T, TABLE_RGB)
+    (x0, x1), (y0, y1), thickness_m = TABLE_X_M, TABLE_Y_M, 0.04
+    T[:3, 3] = (x0 + x1) / 2, (y0 + y1) / 2, -thickness_m / 2
+    return renderer.add_box(np.array([x1 - x0, y1 - y0, thickness_m]), T, TABLE_RGB)
 
 
 def build_scene(renderer: Renderer, object_model: ObjectModel, scene: Scene) -> dict[int, PointType]:

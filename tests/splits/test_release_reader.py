@@ -12,6 +12,7 @@ import pytest
 from splits.errors import ReleaseError
 from splits.manifest import CARD, MANIFEST
 from splits.release_reader import Release
+from tables.identity import IdentityError
 from tests.splits.damage import Damage, copy_of, edited, republished, rewritten, sidecar, signed
 
 
@@ -111,3 +112,21 @@ def test_a_value_outside_the_schema_is_found_on_request(release: Path, release_t
     republished(directory, "splits", splits.slice(1))
     with pytest.raises(ReleaseError, match=r"every scene of candidates must be in 1 split; scene full-0000 is in none"):
         _ = Release.open(directory).candidates
+
+
+def test_candidates_and_scenes_are_values_by_id(release: Path, release_tables: dict[str, pa.Table]) -> None:
+    opened = Release.open(release)
+    row = next(row for row in release_tables["candidates"].to_pylist() if row["target_id"] == 3)
+    candidate = opened.candidate(row["candidate_id"])
+    assert candidate.candidate_id == row["candidate_id"]
+    assert candidate.scene is opened.scene(row["scene_id"])
+    target = next(t for t in release_tables["targets"].to_pylist() if (t["scene_id"], t["target_id"]) == (row["scene_id"], 3))
+    assert candidate.target.T_base_target[0, 3] == target["target_x_m"]
+    assert opened.values.labels(row["candidate_id"])["y_plan"] == row["y_plan"]
+
+
+@pytest.mark.parametrize("name", ["full-0000-t3-g63", "full-0999-t0-g00", "full-0999", "kitchen"])
+def test_ids_that_the_release_does_not_hold_are_refused(release: Path, name: str) -> None:
+    opened = Release.open(release)
+    with pytest.raises(IdentityError, match=name):
+        opened.candidate(name) if "-t" in name else opened.scene(name)

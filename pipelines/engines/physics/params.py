@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from pipelines.engines.bounds import BoundsError, bounded, check_bounds
+from pipelines.values import TABLE_X_M, TABLE_Y_M
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +44,8 @@ class PhysicsParams:
     settled_rate_rad_s: float = bounded(0.04, 1e-5, 10.0)
     settled_checks: int = bounded(3, 1, 1000)  # in a row
     check_every_steps: int = bounded(8, 1, 1000)  # 33 ms: slower than contact jitter, faster than anything falls
-    table_x_m: tuple[float, float] = bounded((-0.4, 1.1), -10.0, 10.0, is_increasing=True)  # a workbench that the arm stands on
-    table_y_m: tuple[float, float] = bounded((-0.9, 0.9), -10.0, 10.0, is_increasing=True)
+    table_x_m: tuple[float, float] = bounded(TABLE_X_M, -10.0, 10.0, is_increasing=True)  # a workbench that the arm stands on
+    table_y_m: tuple[float, float] = bounded(TABLE_Y_M, -10.0, 10.0, is_increasing=True)
     table_thickness_m: float = bounded(0.1, 0.01, 1.0)
 
     def __post_init__(self) -> None:
