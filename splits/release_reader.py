@@ -81,7 +81,7 @@ class Release:
 
     @cached_property
     def values(self) -> Decoded:
-        """Candidates with their labels and plans, scenes and object models by id; the tables they are decoded from are read when asked for."""
+        """Candidates with labels and plans, scenes and object models by id; tables are read when they are asked for."""
         return Decoded(_TablesOf(self))
 
     def candidate(self, candidate_id: str) -> Candidate:
