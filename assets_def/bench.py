@@ -24,6 +24,7 @@ from rich.table import Column, Table
 
 from assets_def.resources import REPOSITORY, Benchmark
 from assets_def.stages import stage_assets
+from pipelines import stages
 from pipelines.codecs import scenes_from_tables
 from pipelines.frames import frame_of, scene_id_of_item
 from pipelines.proofs.cpu_profile import largest_costs
@@ -79,7 +80,8 @@ def bench(folder: Path) -> dict[str, object]:
 
 
 def _build(path: Path, shard: str, n_workers: int) -> ShardRun:
-    list(run_units(int, [(0,)] * 4 * n_workers, n_workers))  # workers start once a process, however many shards it builds
+    # The server of the workers starts once a process, however many shards it builds.
+    list(run_units(int, [(0,)] * 4 * n_workers, n_workers, preload=(stages,)))
     start = time.perf_counter()
     result = materialize(
         stage_assets,

@@ -1,7 +1,7 @@
 """Builds a tier from a terminal: `python -m assets_def.build mini|pilot|full`; every step is a Dagster run, visible in the UI.
 
-Shards that are up to date are skipped, so a killed build continues where it was: it loses at most the scenes in work and those that
-were finished in the last five seconds.
+What is up to date is skipped, so a killed build continues where it was: it loses at most the scenes in work and those that were finished
+in the last five seconds, an interrupted one (Ctrl-C) only the scenes in work.
 """
 
 from __future__ import annotations
@@ -9,69 +9,100 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import NoReturn
 
-from dagster import AssetSelection, DagsterInstance, materialize
+from dagster import (
+    AssetsDefinition,
+    AssetSelection,
+    DagsterError,
+    DagsterExecutionInterruptedError,
+    DagsterInstance,
+    ExecuteInProcessResult,
+    materialize,
+)
 from rich.console import Console
 from rich.markdown import Markdown
-from rich.table import Table
 
 from assets_def.definitions import definitions
 from assets_def.object_assets import object_assets
 from assets_def.partitions import rankers_of_tier
 from assets_def.progress import ShardProgress
-from assets_def.ranker_assets import predictions, ranker
-from assets_def.release_assets import joined_tables, release, splits_table
-from assets_def.report_assets import report_assets_of
+from assets_def.proof_assets import proof_steps
+from assets_def.ranker_assets import predictions_step, ranker_step
+from assets_def.release_assets import release_steps
+from assets_def.report_assets import profile_step, report_steps
 from assets_def.resources import Benchmark
 from assets_def.stages import stage_assets
+from assets_def.steps import Step
+from model.errors import RankerError
+from pipelines.recipe import RecipeError
 from pipelines.running.shard_runner import is_published
 from pipelines.stages import STAGES
-from tables.identity import TIERS, shards_of_tier
+from splits.errors import ReleaseError
+from tables.errors import PlaceBenchError
+from tables.identity import TIERS, IdentityError, shards_of_tier
+from tables.store import StoreError
 
-CONSOLE = Console()
+CONSOLE, ERRORS = Console(), Console(stderr=True)
+INTERRUPTED = 130  # what a shell reports of a command that Ctrl-C ended
 
 
-class BuildError(RuntimeError):
-    """A Dagster run that failed; its log is in the UI and above."""
+class BuildError(PlaceBenchError, RuntimeError):
+    """A Dagster run that failed; says in one line which step and why, and which run has the whole log."""
 
 
-def build(tier: str, n_workers: int, until: str) -> dict[str, float]:
-    """Build everything of a tier that is missing.
+def build(tier: str, benchmark: Benchmark, until: str) -> None:
+    """Build everything of a tier that is missing, and say so line by line.
 
     Args:
         until: `release` stops at the release folder and its profile report, `reports` trains rankers and writes every report.
 
-    Returns:
-        Wall time in seconds by step.
-
     Raises:
         BuildError: a run failed; finished work is kept.
+        StoreError: a published file is missing or broken.
+        RecipeError: the recipe cannot be read.
     """
-    benchmark = Benchmark(n_workers=n_workers)
-    seconds: dict[str, float] = {}
-    _run(seconds, "objects", [object_assets], None, benchmark)
-    _build_shards(seconds, tier, benchmark)
-    _run(seconds, "release", [joined_tables, splits_table, release], tier, benchmark)
-    if until == "reports":
-        for key in rankers_of_tier(tier):
-            _run(seconds, f"ranker {key.variant} {key.seed}", [ranker], str(key), benchmark)
-        _run(seconds, "predictions", [predictions], tier, benchmark)
-    _run(seconds, "reports", report_assets_of(until), tier, benchmark)
-    return seconds
+    with _line("objects") as outcome:
+        _run("objects", [object_assets], None, benchmark)
+        outcome.append("checked")
+    _build_shards(tier, benchmark)
+    _build_steps(tier, benchmark, until)
 
 
-def _build_shards(seconds: dict[str, float], tier: str, benchmark: Benchmark) -> None:
+def _build_steps(tier: str, benchmark: Benchmark, until: str) -> None:
+    for step, partition, name in _steps(tier, until):
+        with _line(name) as outcome:
+            if step.is_done(benchmark, partition):
+                outcome.append("up to date")
+            else:
+                _run(name, [step.asset], partition, benchmark)
+                outcome.append("made")
+
+
+def _steps(tier: str, until: str) -> Iterator[tuple[Step, str, str]]:
+    """(step, partition, name on the terminal) above the shards, in order."""
+    yield from ((step, tier, step.name) for step in release_steps)
+    if until == "release":
+        yield profile_step, tier, profile_step.name
+        return
+    yield from ((ranker_step, str(key), f"ranker {key}") for key in rankers_of_tier(tier))
+    yield from ((step, tier, step.name) for step in (predictions_step, *proof_steps, *report_steps))
+
+
+def _build_shards(tier: str, benchmark: Benchmark) -> None:
     shards = shards_of_tier(tier)
     missing = [shard for shard in shards if not _is_complete(shard, benchmark)]
-    CONSOLE.print(f"{tier}: {len(shards) - len(missing)} of {len(shards)} shards are up to date")
+    CONSOLE.print(f"{'shards':<36}{len(shards) - len(missing)} of {len(shards)} up to date")
     start = time.perf_counter()
     with ShardProgress(CONSOLE, len(missing)) as progress:
         for shard in missing:
-            _run({}, shard, stage_assets, shard, benchmark)
+            _run(shard, stage_assets, shard, benchmark)
             progress.finish_shard()
-    seconds["shards"] = time.perf_counter() - start
-    seconds.update(progress.seconds_by_stage)
+    if missing:
+        stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in progress.seconds_by_stage.items())
+        CONSOLE.print(f"{'':<36}{len(missing)} made   {time.perf_counter() - start:7.1f} s ({stages})")
 
 
 def _is_complete(shard: str, benchmark: Benchmark) -> bool:
@@ -79,53 +110,112 @@ def _is_complete(shard: str, benchmark: Benchmark) -> bool:
     return all(is_published(stage, shard, benchmark.root, inputs) for stage in STAGES)
 
 
-def _run(seconds: dict[str, float], name: str, assets: Sequence[object], partition_key: str | None, benchmark: Benchmark) -> None:
+@contextmanager
+def _line(name: str) -> Iterator[list[str]]:
+    """One line a step: its name when it starts, the outcome appended to the list and the time when it is done."""
     start = time.perf_counter()
-    chosen = AssetSelection.assets(*(key for asset in assets for key in asset.keys))  # type: ignore[attr-defined]
+    outcome: list[str] = []
+    CONSOLE.print(f"{name:<36}", end="")
+    try:
+        yield outcome
+    except BaseException:
+        CONSOLE.print()
+        raise
+    CONSOLE.print(f"{' '.join(outcome):<12}{time.perf_counter() - start:7.1f} s")
+
+
+def _run(name: str, assets: Sequence[AssetsDefinition], partition_key: str | None, benchmark: Benchmark) -> None:
     result = materialize(
         list(definitions.assets or ()),  # type: ignore[arg-type]
-        selection=chosen,
+        selection=AssetSelection.assets(*(key for asset in assets for key in asset.keys)),
         partition_key=partition_key,
         resources={"benchmark": benchmark},
-        run_config={"loggers": {"console": {"config": {"log_level": "WARNING"}}}},
+        run_config={"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}},  # failures are told below, in one line
         instance=DagsterInstance.get(),
         raise_on_error=False,
     )
     if not result.success:
-        failures = [event for event in result.all_events if event.is_failure]
-        reasons = "\n".join(str(event.message) for event in failures)
-        failed_checks = [e for e in result.get_asset_check_evaluations() if not e.passed]
-        reasons += "\n".join(f"check {e.asset_key.to_user_string()}.{e.check_name}: {e.metadata}" for e in failed_checks)
-        raise BuildError(f"{name}: run {result.run_id} failed:\n{reasons}")
-    seconds[name] = time.perf_counter() - start
+        raise BuildError(f"{name}: {_reason(result)} (the whole log: make ui, run {result.run_id[:8]})")
+
+
+def _reason(result: ExecuteInProcessResult) -> str:
+    """The first line of why a run failed: the first finding of a check, or an error below Dagster's own.
+
+    Raises:
+        KeyboardInterrupt: it was interrupted, which Dagster reports as a failure of the step in work.
+    """
+    for check in result.get_asset_check_evaluations():
+        if not check.passed:
+            found = check.metadata.get("first_errors") or check.metadata.get("error")
+            return f"check {check.asset_key.to_user_string()}.{check.check_name}: {_first_line(str(found.value if found else ''))}"
+    for event in result.all_events:
+        error = event.step_failure_data.error if event.is_step_failure else None
+        # Dagster wraps what a step raises; what that was raised from is a detail again.
+        while error is not None and error.cause is not None and (error.cls_name or "").startswith("Dagster"):
+            error = error.cause
+        if error is not None and error.cls_name == DagsterExecutionInterruptedError.__name__:
+            raise KeyboardInterrupt
+        if error is not None:
+            return _first_line(error.message)
+    return next((_first_line(str(event.message)) for event in result.all_events if event.is_failure), "no reason given")
+
+
+def _first_line(text: str) -> str:
+    return text.strip().partition("\n")[0]
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """One line instead of the usage and a line."""
+        _say_error(f"{message} (--help says more)")
+        sys.exit(2)
+
+
+def _workers(text: str) -> int:
+    try:
+        n_workers = int(text)
+    except ValueError:
+        n_workers = -1
+    if n_workers < 0:
+        raise argparse.ArgumentTypeError(f"{text}, must be a whole number of at least 0")
+    return n_workers
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line: 0 where the tier is built, 1 where a run failed."""
-    parser = argparse.ArgumentParser(prog="python -m assets_def.build", description=__doc__)
+    """Command line: 0 where the tier is built, 1 where it could not be, 2 where the command is wrong, 130 where it was interrupted."""
+    parser = _Parser(prog="python -m assets_def.build", description=__doc__)
     parser.add_argument("tier", choices=TIERS)
-    parser.add_argument("--workers", type=int, default=Benchmark().n_workers, help="worker processes; the result does not depend on it")
-    parser.add_argument("--until", choices=("release", "reports"), default="reports")
+    default = Benchmark().n_workers
+    parser.add_argument("--workers", type=_workers, default=default, help=f"worker processes ({default}); the result does not depend on it")
+    parser.add_argument(
+        "--until",
+        choices=("release", "reports"),
+        default="reports",
+        help="release: the release folder and its profile report, nothing else; reports (default): rankers and every report too",
+    )
     chosen = parser.parse_args(arguments)
+    benchmark = Benchmark(n_workers=chosen.workers)
     try:
-        seconds = build(chosen.tier, chosen.workers, chosen.until)
-    except BuildError as error:
-        CONSOLE.print(str(error), style="red", markup=False)
+        build(chosen.tier, benchmark, chosen.until)
+    except (KeyboardInterrupt, DagsterExecutionInterruptedError):
+        _say_error("interrupted; everything published and every finished scene or epoch is kept, the same command continues there")
+        return INTERRUPTED
+    except (BuildError, RecipeError, StoreError, ReleaseError, RankerError, IdentityError, DagsterError) as error:
+        _say_error(f"{type(error).__name__}: {error}" if not isinstance(error, BuildError) else str(error))
         return 1
-    _print_result(chosen.tier, chosen.until, seconds)
+    _print_result(chosen.tier, chosen.until, benchmark)
     return 0
 
 
-def _print_result(tier: str, until: str, seconds: dict[str, float]) -> None:
-    benchmark = Benchmark()
+def _say_error(message: str) -> None:
+    ERRORS.print(" ".join(message.split()), style="red", markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_result(tier: str, until: str, benchmark: Benchmark) -> None:
     reports = benchmark.report_dir(tier)
     shown = "success_at_k" if until == "reports" else "profile"
     sections = (reports / f"{shown}.md").read_text(encoding="utf-8").split("\n## ")
     CONSOLE.print(Markdown("\n## ".join(sections[:2])))
-    table = Table("step", "wall s", title=f"wall time of this run, tier {tier}")
-    for name, value in seconds.items():
-        table.add_row(name, f"{value:.1f}")
-    CONSOLE.print(table)
     CONSOLE.print(f"release: {benchmark.root.release(tier)}\nreports: {reports}")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,27 +10,31 @@ from dagster import AssetCheckResult, AssetCheckSpec
 
 from pipelines.running.data_root import DataRoot
 from pipelines.stage import Promise, Stage
-from tables.columns import SchemaError, TableSchema
+from tables.columns import TableSchema
 from tables.store import StoreError, read_table
 
+# A file that is missing, changed or broken: SchemaError and what Arrow and JSON say of one are ValueErrors.
+_UNREADABLE = (StoreError, ValueError, TypeError, KeyError, OSError)
 
-def schema_check_spec(schema: TableSchema) -> AssetCheckSpec:
-    """A table on disk is what its sidecar and its schema say."""
+
+def schema_check_spec(schema: TableSchema, asset: str = "") -> AssetCheckSpec:
+    """A table on disk is what its sidecar and its schema say; `asset` where the asset is not named as the table is."""
     return AssetCheckSpec(
         "schema",
-        asset=schema.name,
+        asset=asset or schema.name,
         blocking=True,
         description="Re-reads the file: SHA-256, types, nulls, closed enums, finite numbers, keys.",
     )
 
 
-def schema_check(schema: TableSchema, path: Path) -> AssetCheckResult:
+def schema_check(schema: TableSchema, path: Path, asset: str = "") -> AssetCheckResult:
     """Result of `schema_check_spec`."""
+    asset = asset or schema.name
     try:
         table = read_table(schema, path, verify=True)
-    except (SchemaError, StoreError) as error:
-        return AssetCheckResult(passed=False, check_name="schema", asset_key=schema.name, metadata={"error": str(error)})
-    return AssetCheckResult(passed=True, check_name="schema", asset_key=schema.name, metadata={"rows": table.num_rows})
+    except _UNREADABLE as error:
+        return AssetCheckResult(passed=False, check_name="schema", asset_key=asset, metadata={"error": str(error)})
+    return AssetCheckResult(passed=True, check_name="schema", asset_key=asset, metadata={"rows": table.num_rows})
 
 
 def law_check_spec(stage: Stage) -> AssetCheckSpec:
@@ -41,11 +45,23 @@ def law_check_spec(stage: Stage) -> AssetCheckSpec:
 
 def law_check(stage: Stage, root: DataRoot, shard: str, promise: Promise) -> AssetCheckResult:
     """Result of `law_check_spec`."""
+    reads = (*stage.inputs, *stage.outputs)
+    return consistency_check(stage.outputs[0].name, lambda: stage.law(root.read_shard(shard, reads), promise))
+
+
+def stage_checks(stage: Stage, root: DataRoot, shard: str, promise: Promise) -> Iterator[AssetCheckResult]:
+    """Every gate of a stage."""
+    for schema in stage.outputs:
+        yield schema_check(schema, root.shard_table(shard, schema.name))
+    yield law_check(stage, root, shard, promise)
+
+
+def consistency_check(asset: str, errors: Callable[[], Sequence[str]]) -> AssetCheckResult:
+    """A check of what is on disk; red too where that cannot even be read."""
     try:
-        tables = root.read_shard(shard, (*stage.inputs, *stage.outputs))
-    except StoreError as error:
-        return consistency_result(stage.outputs[0].name, [str(error)])
-    return consistency_result(stage.outputs[0].name, stage.law(tables, promise))
+        return consistency_result(asset, errors())
+    except _UNREADABLE as error:
+        return consistency_result(asset, [f"{type(error).__name__}: {error}"])
 
 
 def consistency_result(asset: str, errors: Sequence[str]) -> AssetCheckResult:

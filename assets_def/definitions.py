@@ -1,10 +1,18 @@
-"""The whole asset graph: `dagster dev -m assets_def.definitions` and `dagster asset materialize -m assets_def.definitions` load this."""
+"""The whole asset graph: `dagster dev -m assets_def.definitions` and `dagster asset materialize -m assets_def.definitions` load this.
+
+There is no IO manager, because an asset's value never passes through Dagster: many worker processes write a table's scenes one by one, a
+killed run resumes with what they left, and `tables.store` publishes the table with its hash, none of which one load and one dump a
+partition can do; what an asset depends on is declared by name, and each reads it from `DataRoot`.
+"""
 
 from __future__ import annotations
 
 from dagster import Definitions, in_process_executor
 
+from assets_def.jobs import jobs
 from assets_def.object_assets import object_assets
+from assets_def.ownership import owned
+from assets_def.proof_assets import proof_assets
 from assets_def.ranker_assets import ranker_assets
 from assets_def.release_assets import release_assets
 from assets_def.report_assets import report_assets
@@ -13,7 +21,8 @@ from assets_def.stages import stage_assets
 
 # In process: the parallelism is inside an asset, over scenes; a process a step would cost 20 s a shard.
 definitions = Definitions(
-    assets=[object_assets, *stage_assets, *release_assets, *ranker_assets, *report_assets],
+    assets=[owned(assets) for assets in (object_assets, *stage_assets, *release_assets, *ranker_assets, *proof_assets, *report_assets)],
+    jobs=jobs,
     resources={"benchmark": Benchmark()},
     executor=in_process_executor,
 )

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import base64
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import polars as pl
+import pyarrow as pa
 from dagster import MetadataValue, TableColumn, TableSchema
 
 from tables.columns import TableSchema as Schema
@@ -18,7 +20,7 @@ PREVIEW_COLUMNS = 8
 
 
 def table_metadata(schema: Schema, path: Path, sidecar: Sidecar) -> dict[str, Any]:
-    """Rows, hash, columns with units and meaning, counts of each status, and the first rows as Markdown."""
+    """Rows, hash, columns with units and meaning, counts and rates of each status, and the first rows as Markdown."""
     frame = pl.from_arrow(read_table(schema, path))
     assert isinstance(frame, pl.DataFrame)
     columns = [TableColumn(c.name, str(c.dtype), f"{c.meaning}{f' [{c.unit}]' if c.unit else ''}") for c in schema.columns]
@@ -31,7 +33,31 @@ def table_metadata(schema: Schema, path: Path, sidecar: Sidecar) -> dict[str, An
         "bytes": path.stat().st_size,
         "preview": MetadataValue.md(markdown_table(frame.head(PREVIEW_ROWS)[:, :PREVIEW_COLUMNS])),
         **{name: MetadataValue.md(_counts_as_markdown(count)) for name, count in counts.items()},
+        **outcome_numbers(schema, frame),
     }
+
+
+def outcome_numbers(schema: Schema, frame: pl.DataFrame) -> dict[str, int | float]:
+    """Numbers that the UI plots over partitions: `n_<status>` and `rate_<status>` of every status, `rate_<flag>` of every flag.
+
+    A rate is a share of the rows that are not null, and left out where there are none. A status that two columns of a table may hold
+    goes by its column's name too: `n_stored_solved` and `n_audited_solved`.
+    """
+    enums = [column for column in schema.columns if column.name.endswith("_status")]
+    n_columns = Counter(value for column in enums for value in column.values)
+    numbers: dict[str, int | float] = {}
+    for column in enums:
+        counts = dict(frame[column.name].drop_nulls().cast(pl.String).value_counts().iter_rows())
+        total = sum(counts.values())
+        for value in column.values:
+            name = value if n_columns[value] == 1 else f"{column.name.removesuffix('_status')}_{value}"
+            numbers[f"n_{name}"] = counts.get(value, 0)
+            if total:
+                numbers[f"rate_{name}"] = counts.get(value, 0) / total
+    for column in schema.columns:
+        if column.dtype == pa.bool_() and frame[column.name].drop_nulls().len():
+            numbers[f"rate_{column.name}"] = float(frame[column.name].drop_nulls().mean())  # type: ignore[arg-type]
+    return numbers
 
 
 def status_counts(frame: pl.DataFrame, column: str) -> dict[str, int]:

@@ -1,6 +1,9 @@
 """Trained rankers, one a tier, variant and seed, and what they say of every candidate; the work is model's."""
 
+import json
 from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import polars as pl
@@ -16,9 +19,11 @@ from dagster import (
     multi_asset,
 )
 
-from assets_def.checks import consistency_result, schema_check_spec
-from assets_def.metadata import markdown_table, table_metadata
+from assets_def.checks import consistency_result, schema_check, schema_check_spec
+from assets_def.inputs import release_hashes
+from assets_def.metadata import markdown_table
 from assets_def.partitions import (
+    RankerKey,
     parse_ranker_key,
     ranker_partitions,
     rankers_of_tier,
@@ -26,15 +31,17 @@ from assets_def.partitions import (
     tier_partitions,
     tiers_to_rankers,
 )
+from assets_def.products import FilesProduct, TableProduct
 from assets_def.resources import Benchmark
-from assets_def.tier_tables import publish_tier_table
-from model.inputs import FIVE_INPUTS, FORBIDDEN_COLUMNS
+from assets_def.steps import Step
+from model.checkpoint import identity_of, input_errors
+from model.inputs import contract_hash
 from model.scoring import decision_times, score
-from model.settings import Variant, settings_named
+from model.settings import Variant, settings_named, settings_to_dict
 from model.training import train
 from reports.ranking import ranker_timing_rows
 from tables.schemas import PREDICTIONS, TIMINGS
-from tables.store import file_sha256, join_tables, table_from_rows, write_table
+from tables.store import StoreError, file_sha256, join_tables, table_from_rows
 
 MODEL_CODE_VERSION = "1"
 SETTING_OF_TIER = {"mini": "light", "pilot": "light", "full": "full"}
@@ -52,28 +59,63 @@ SETTING_OF_TIER = {"mini": "light", "pilot": "light", "full": "full"}
             kinds={"pytorch"},
         )
     ],
-    check_specs=[AssetCheckSpec("consistent", asset="ranker", blocking=True, description="No input is known only after planning.")],
+    check_specs=[
+        AssetCheckSpec(
+            "consistent",
+            asset="ranker",
+            blocking=True,
+            description="The columns recorded in the checkpoint are the five inputs and their keys: none is known only after planning.",
+        )
+    ],
     partitions_def=ranker_partitions,
 )
-def ranker(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
+def ranker(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
     key = parse_ranker_key(context.partition_key)
-    settings = settings_named(SETTING_OF_TIER[key.tier])
-    out_dir = benchmark.root.checkpoint(key.tier, key.variant.value, key.seed)
-    result = train(benchmark.root.release(key.tier), key.variant, key.seed, settings, out_dir, resume=True)
-    metadata: dict[str, Any] = {
+    out_dir = _checkpoint(benchmark, key)
+    (product,) = _ranker_products(benchmark, str(key))
+    record, is_reused = product.publish(lambda: _train(benchmark, key))
+    facts = {name: value for name, value in record.facts.items() if name != "history"}
+    shown: dict[str, Any] = {
         "path": MetadataValue.path(str(out_dir)),
+        **facts,
+        "history": MetadataValue.md(markdown_table(pl.DataFrame(record.facts["history"], infer_schema_length=None))),
+        "reused": is_reused,
+    }
+    yield MaterializeResult("ranker", metadata=shown, data_version=DataVersion(_weights_sha256(benchmark, key)))
+    yield consistency_result("ranker", input_errors(out_dir))
+
+
+def _train(benchmark: Benchmark, key: RankerKey) -> tuple[list[Path], dict[str, Any]]:
+    settings = settings_named(SETTING_OF_TIER[key.tier])
+    out_dir = _checkpoint(benchmark, key)
+    result = train(benchmark.root.release(key.tier), key.variant, key.seed, settings, out_dir, resume=True)
+    facts = {
         "settings": settings.name,
         "best_epoch": result.best_epoch,
         "selected_by": result.selected_by,
         "parameters": result.n_parameters,
         "train_candidates": result.n_train_candidates,
         "validation_candidates": result.n_validation_candidates,
-        "history": MetadataValue.md(markdown_table(pl.DataFrame(result.history, infer_schema_length=None))),
+        "history": list(result.history),
     }
-    weights = next(out_dir.glob("*.safetensors"))
-    yield MaterializeResult("ranker", metadata=metadata, data_version=DataVersion(file_sha256(weights)))
-    used = {column for tables in FIVE_INPUTS.values() for columns in tables.values() for column in columns}
-    yield consistency_result("ranker", [f"{column}: known only after planning" for column in sorted(used & FORBIDDEN_COLUMNS)])
+    return [path for path in out_dir.iterdir() if path.is_file() and not path.name.startswith(".")], facts
+
+
+def _ranker_products(benchmark: Benchmark, partition: str) -> tuple[FilesProduct]:
+    """A checkpoint and what decides a training: its identity but for the manifest, which also names what no training reads."""
+    key = parse_ranker_key(partition)
+    settings = settings_named(SETTING_OF_TIER[key.tier])
+    identity = identity_of(benchmark.root.release(key.tier), key.variant, key.seed, settings)
+    made_from = {
+        "code": MODEL_CODE_VERSION,
+        "contract": contract_hash(),
+        "variant": key.variant.value,
+        "seed": str(key.seed),
+        "settings": json.dumps(settings_to_dict(settings), sort_keys=True),
+        "release.tables": identity.release_sha256,
+        "engine.torch": metadata.version("torch"),
+    }
+    return (FilesProduct(_checkpoint(benchmark, key) / "made_from.json", made_from),)
 
 
 @multi_asset(
@@ -96,22 +138,52 @@ def ranker(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[Mat
             kinds={"parquet"},
         ),
     ],
-    check_specs=[schema_check_spec(PREDICTIONS)],
+    check_specs=[schema_check_spec(PREDICTIONS), schema_check_spec(TIMINGS, "decision_times")],
     partitions_def=tier_partitions,
 )
-def predictions(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
+def predictions(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
     tier = context.partition_key
     release_dir = benchmark.root.release(tier)
-    keys = rankers_of_tier(tier)
-    tables = [score(release_dir, benchmark.root.checkpoint(tier, key.variant.value, key.seed)) for key in keys]
-    yield from publish_tier_table(benchmark, tier, PREDICTIONS, join_tables(PREDICTIONS, tables))
+    scores, times = _predictions_products(benchmark, tier)
+    checkpoints = [_checkpoint(benchmark, key) for key in rankers_of_tier(tier)]
+    yield from scores.publish(lambda: join_tables(PREDICTIONS, [score(release_dir, checkpoint) for checkpoint in checkpoints]))
+    timed = _checkpoint(benchmark, _timed_ranker(tier))
+    yield from times.publish(lambda: table_from_rows(TIMINGS, ranker_timing_rows(decision_times(release_dir, timed))))
+    yield from _predictions_checks(benchmark, tier)
 
-    full = next(key for key in keys if key.variant is Variant.FULL)
-    times = decision_times(release_dir, benchmark.root.checkpoint(tier, full.variant.value, full.seed))
-    rows = ranker_timing_rows(times)
-    path = benchmark.root.tier_table(tier, "decision_times")
-    sidecar = write_table(TIMINGS, table_from_rows(TIMINGS, rows), path)
-    yield MaterializeResult("decision_times", metadata=table_metadata(TIMINGS, path, sidecar))
+
+def _predictions_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct, TableProduct]:
+    timed = _timed_ranker(tier)
+    weights = {key: {f"ranker.{key.variant.value}.{key.seed}": _weights_sha256(benchmark, key)} for key in rankers_of_tier(tier)}
+    made_from = {"code": MODEL_CODE_VERSION, "contract": contract_hash(), **release_hashes(benchmark, tier)}
+    all_weights = {name: sha256 for own in weights.values() for name, sha256 in own.items()}
+    return (
+        TableProduct(PREDICTIONS, benchmark.root.tier_table(tier, "predictions"), made_from | all_weights, tier),
+        TableProduct(TIMINGS, benchmark.root.tier_table(tier, "decision_times"), made_from | weights[timed], tier, "decision_times"),
+    )
+
+
+def _predictions_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult]:
+    yield schema_check(PREDICTIONS, benchmark.root.tier_table(tier, "predictions"))
+    yield schema_check(TIMINGS, benchmark.root.tier_table(tier, "decision_times"), "decision_times")
+
+
+def _timed_ranker(tier: str) -> RankerKey:
+    return next(key for key in rankers_of_tier(tier) if key.variant is Variant.FULL)
+
+
+def _checkpoint(benchmark: Benchmark, key: RankerKey) -> Path:
+    return benchmark.root.checkpoint(key.tier, key.variant.value, key.seed)
+
+
+def _weights_sha256(benchmark: Benchmark, key: RankerKey) -> str:
+    """Identity of a trained ranker; raises StoreError where it is not trained."""
+    weights = sorted(_checkpoint(benchmark, key).glob("ranker.safetensors"))
+    if not weights:
+        raise StoreError(f"{_checkpoint(benchmark, key)}: no trained ranker; materialize ranker, partition {key}")
+    return file_sha256(weights[0])
 
 
 ranker_assets = [ranker, predictions]
+ranker_step = Step("ranker", ranker, _ranker_products, lambda benchmark, partition: [])
+predictions_step = Step("predictions and decision times", predictions, _predictions_products, _predictions_checks)

@@ -1,6 +1,10 @@
 """From shards to a release: joined tables, scene-group splits, the checked release folder; one partition a tier."""
 
+import hashlib
+import json
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -16,24 +20,30 @@ from dagster import (
     multi_asset,
 )
 
-from assets_def.checks import consistency_result, schema_check_spec
+from assets_def.checks import consistency_check, schema_check, schema_check_spec
+from assets_def.inputs import object_hashes, shard_hashes, tier_hashes, timings_hash
 from assets_def.partitions import shards_to_tiers, tier_partitions
+from assets_def.products import FilesProduct, TableProduct
 from assets_def.resources import Benchmark
-from assets_def.tier_tables import publish_tier_table
+from assets_def.steps import Step
+from objects.catalogue import catalogue_hash, load_catalogue
 from pipelines.recipe import Recipe
 from pipelines.running.join import join_candidates, join_grasps
 from pipelines.running.shard_runner import read_timings
 from pipelines.stages import STAGES
 from splits.leakage import find_leaks
+from splits.manifest import DATA_VERSION, read_manifest
+from splits.provenance import git_commit
 from splits.release import release_errors, write_release
 from splits.release_laws import broken_laws
-from splits.scene_groups import SplitParams, split_rows
+from splits.scene_groups import SplitParams, UniverseScene, split_rows
+from tables.columns import TableSchema
 from tables.identity import family_of_tier, scenes_of_shard, shards_of_tier
 from tables.schemas import ALL_SCHEMAS, CANDIDATES, GRASPS, OBJECT_TABLES, SPLITS
 from tables.store import read_table, read_tables, table_from_rows
 
-DATA_VERSION = "0.1.0"
-RELEASE_CODE_VERSION = "1"
+RELEASE_CODE_VERSION = "1"  # of the joined tables and the splits
+FOLDER_CODE_VERSION = "2"  # of what stands around the tables in a release folder
 
 # Released as they are; `candidates` and `grasps` replace the four tables they are joined from.
 _SHARD_TABLES = ("scenes", "scene_attempts", "obstacles", "targets", "scene_points", "plans", "policy_features")
@@ -68,18 +78,34 @@ _JOINED_FROM = {
     ],
     partitions_def=tier_partitions,
 )
-def joined_tables(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
+def joined_tables(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
     tier = context.partition_key
-    shard = {name: _over_shards(benchmark, tier, name) for names in _JOINED_FROM.values() for name in names}
-    grasp_pool = benchmark.root.read_objects()["grasp_pool"]
-    tables = {
-        CANDIDATES.name: join_candidates(*(shard[name] for name in _JOINED_FROM["candidates"])),
-        GRASPS.name: join_grasps(shard["grasp_admission"], shard["pick_lift"], shard["scenes"], grasp_pool),
-    }
+    candidates, grasps = _joined_products(benchmark, tier)
+    yield from candidates.publish(lambda: join_candidates(*_joined_from(benchmark, tier, CANDIDATES)))
+    yield from grasps.publish(lambda: join_grasps(*_joined_from(benchmark, tier, GRASPS), benchmark.root.read_objects()["grasp_pool"]))
+    yield from _joined_checks(benchmark, tier)
+
+
+def _joined_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct, TableProduct]:
+    code = {"code": RELEASE_CODE_VERSION}
+    from_candidates, from_grasps = (shard_hashes(benchmark, tier, _JOINED_FROM[schema.name]) for schema in (CANDIDATES, GRASPS))
+    return (
+        TableProduct(CANDIDATES, benchmark.root.tier_table(tier, "candidates"), code | from_candidates, tier),
+        TableProduct(
+            GRASPS, benchmark.root.tier_table(tier, "grasps"), code | from_grasps | object_hashes(benchmark, ["grasp_pool"]), tier
+        ),
+    )
+
+
+def _joined_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult]:
     for schema in (CANDIDATES, GRASPS):
-        yield from publish_tier_table(benchmark, tier, schema, tables[schema.name])
-    others = {name: _over_shards(benchmark, tier, name) for name in _SHARD_TABLES}
-    yield consistency_result("candidates", broken_laws({**tables, **others}, **_tolerances(benchmark.recipe_of_tier(tier))))
+        yield schema_check(schema, benchmark.root.tier_table(tier, schema.name))
+
+    def errors() -> list[str]:
+        tables = {name: _over_shards(benchmark, tier, name) for name in _SHARD_TABLES} | _of_tier(benchmark, tier, "candidates", "grasps")
+        return broken_laws(tables, **_tolerances(benchmark.recipe_of_tier(tier)))
+
+    yield consistency_check("candidates", errors)
 
 
 @multi_asset(
@@ -104,18 +130,31 @@ def joined_tables(context: AssetExecutionContext, benchmark: Benchmark) -> Itera
     ],
     partitions_def=tier_partitions,
 )
-def splits_table(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
+def splits_table(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
     tier = context.partition_key
-    family = family_of_tier(tier)
-    universe = [(allocation.scene_id, allocation.category, allocation.n_obstacles) for allocation in benchmark.universe(family)]
+    (splits,) = _splits_products(benchmark, tier)
     scene_ids = [scene_id for shard in shards_of_tier(tier) for scene_id in scenes_of_shard(shard)]
-    splits = table_from_rows(SPLITS, split_rows(scene_ids, universe, SplitParams(), benchmark.recipe(family).seed))
-    yield from publish_tier_table(benchmark, tier, SPLITS, splits)
-    tables = {name: _over_shards(benchmark, tier, name) for name in ("scenes", "obstacles", "targets")}
-    candidates = read_table(CANDIDATES, benchmark.root.tier_table(tier, "candidates"))
-    objects = benchmark.root.read_objects()["objects"]
-    leaks = find_leaks({**tables, "objects": objects, "candidates": candidates, "splits": splits})
-    yield consistency_result("splits", [str(leak) for leak in leaks])
+    rows = split_rows(scene_ids, _universe(benchmark, tier), SplitParams(), benchmark.recipe_of_tier(tier).seed)
+    yield from splits.publish(lambda: table_from_rows(SPLITS, rows))
+    yield from _splits_checks(benchmark, tier)
+
+
+def _splits_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct]:
+    parameters = {"universe": _universe(benchmark, tier), "params": asdict(SplitParams()), "seed": benchmark.recipe_of_tier(tier).seed}
+    parameters_sha256 = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()
+    made_from = {"code": RELEASE_CODE_VERSION, "tier": tier, "parameters": parameters_sha256}
+    return (TableProduct(SPLITS, benchmark.root.tier_table(tier, "splits"), made_from, tier),)
+
+
+def _splits_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult]:
+    yield schema_check(SPLITS, benchmark.root.tier_table(tier, "splits"))
+
+    def errors() -> list[str]:
+        tables = {name: _over_shards(benchmark, tier, name) for name in ("scenes", "obstacles", "targets")}
+        objects = {"objects": benchmark.root.read_objects()["objects"]}
+        return [str(leak) for leak in find_leaks(tables | objects | _of_tier(benchmark, tier, "candidates", "splits"))]
+
+    yield consistency_check("splits", errors)
 
 
 @multi_asset(
@@ -132,37 +171,69 @@ def splits_table(context: AssetExecutionContext, benchmark: Benchmark) -> Iterat
             ],
             description="Writes the release folder of a tier: Parquet tables, data card, and last the manifest with every checksum.",
             group_name="release",
-            code_version=RELEASE_CODE_VERSION,
+            code_version=FOLDER_CODE_VERSION,
             kinds={"parquet"},
         )
     ],
     check_specs=[AssetCheckSpec("consistent", asset="release", blocking=True, description="The folder verifies against its own manifest.")],
     partitions_def=tier_partitions,
 )
-def release(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
+def release(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
     tier = context.partition_key
-    tables = {
-        **benchmark.root.read_objects(),
-        **{name: _over_shards(benchmark, tier, name) for name in _SHARD_TABLES},
-        **{s.name: read_table(s, benchmark.root.tier_table(tier, s.name)) for s in (CANDIDATES, GRASPS, SPLITS)},
-        "timings": read_timings(benchmark.root, shards_of_tier(tier), STAGES),
-    }
     directory = benchmark.root.release(tier)
-    recipe = benchmark.recipe_of_tier(tier)
-    provenance = {"recipe_hash": recipe.hash_of(), "recipe_seed": str(recipe.seed), **_code_versions()}
-    manifest = write_release(tables, directory, tier, DATA_VERSION, provenance, **_tolerances(recipe))
+    (product,) = _release_products(benchmark, tier)
+    _, is_reused = product.publish(lambda: (_write_release(benchmark, tier, directory), {}))
+    manifest = read_manifest(directory)
     metadata: dict[str, Any] = {
         "path": MetadataValue.path(str(directory)),
         "version": manifest.version,
         "release_hash": manifest.release_hash,
         "rows": {name: entry.rows for name, entry in manifest.tables.items()},
         "data_card": MetadataValue.md((directory / "README.md").read_text(encoding="utf-8")),
+        "reused": is_reused,
     }
     yield MaterializeResult("release", metadata=metadata, data_version=DataVersion(manifest.release_hash))
-    yield consistency_result("release", release_errors(directory))
+    yield from _release_checks(benchmark, tier)
+
+
+def _write_release(benchmark: Benchmark, tier: str, directory: Path) -> list[Path]:
+    tables = {
+        **benchmark.root.read_objects(),
+        **{name: _over_shards(benchmark, tier, name) for name in _SHARD_TABLES},
+        **_of_tier(benchmark, tier, "candidates", "grasps", "splits"),
+        "timings": read_timings(benchmark.root, shards_of_tier(tier), STAGES),
+    }
+    recipe = benchmark.recipe_of_tier(tier)
+    provenance = {**_provenance(recipe), "git_commit": git_commit()}
+    write_release(tables, directory, tier, DATA_VERSION, provenance, **_tolerances(recipe))
+    return [path for path in directory.iterdir() if path.is_file()]
+
+
+def _release_products(benchmark: Benchmark, tier: str) -> tuple[FilesProduct]:
+    recipe = benchmark.recipe_of_tier(tier)
+    made_from = {
+        "code": RELEASE_CODE_VERSION,
+        "data_version": DATA_VERSION,
+        **object_hashes(benchmark, OBJECT_TABLES),
+        **shard_hashes(benchmark, tier, _SHARD_TABLES),
+        **tier_hashes(benchmark, tier, ("candidates", "grasps", "splits")),
+        "timings": timings_hash(benchmark, tier),
+        **{name: str(value) for name, value in _tolerances(recipe).items()},
+        **_provenance(recipe),
+    }
+    return (FilesProduct(benchmark.root.tier_table(tier, "release").with_suffix(".made_from.json"), made_from),)
+
+
+def _release_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult]:
+    yield consistency_check("release", lambda: release_errors(benchmark.root.release(tier)))
 
 
 release_assets = [joined_tables, splits_table, release]
+release_steps = (
+    Step("candidates and grasps", joined_tables, _joined_products, _joined_checks),
+    Step("splits", splits_table, _splits_products, _splits_checks),
+    Step("release", release, _release_products, _release_checks),
+)
 
 
 def _over_shards(benchmark: Benchmark, tier: str, name: str) -> pa.Table:
@@ -170,9 +241,28 @@ def _over_shards(benchmark: Benchmark, tier: str, name: str) -> pa.Table:
     return read_tables(ALL_SCHEMAS[name], [benchmark.root.shard_table(shard, name) for shard in shards_of_tier(tier)])
 
 
+def _joined_from(benchmark: Benchmark, tier: str, schema: TableSchema) -> tuple[pa.Table, pa.Table, pa.Table]:
+    first, second, third = (_over_shards(benchmark, tier, name) for name in _JOINED_FROM[schema.name])
+    return first, second, third
+
+
+def _of_tier(benchmark: Benchmark, tier: str, *names: str) -> dict[str, pa.Table]:
+    return {name: read_table(ALL_SCHEMAS[name], benchmark.root.tier_table(tier, name)) for name in names}
+
+
+def _universe(benchmark: Benchmark, tier: str) -> list[UniverseScene]:
+    return [(a.scene_id, a.category, a.n_obstacles) for a in benchmark.universe(family_of_tier(tier))]
+
+
 def _tolerances(recipe: Recipe) -> dict[str, float]:
     execution = recipe.execution
     return {"position_tolerance_m": execution.position_tolerance_m, "rotation_tolerance_rad": execution.rotation_tolerance_rad}
+
+
+def _provenance(recipe: Recipe) -> dict[str, str]:
+    """What identifies the making of a release; the commit, which says no more about the tables, is added when it is written."""
+    hashes = {"recipe_hash": recipe.hash_of(), "catalogue_hash": catalogue_hash(load_catalogue())}
+    return {**hashes, "recipe_seed": str(recipe.seed), **_code_versions()}
 
 
 def _code_versions() -> Mapping[str, str]:

@@ -1,110 +1,88 @@
-"""Reports of a tier: repeat executions, S_K, ablation, repeatability, dataset profile and gallery; the work is reports'."""
+"""Reports of a tier, one asset each; what a report says, and how it looks, is in reports/."""
 
-from collections.abc import Callable, Iterator, Sequence
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
 
-from dagster import (
-    AssetCheckResult,
-    AssetDep,
-    AssetExecutionContext,
-    AssetsDefinition,
-    AssetSpec,
-    MaterializeResult,
-    MetadataValue,
-    asset,
-    multi_asset,
-)
+from dagster import AssetDep, AssetExecutionContext, AssetsDefinition, DataVersion, MaterializeResult, MetadataValue, asset
 
-from assets_def.checks import schema_check_spec
+from assets_def.inputs import release_hashes, shard_hashes, source_version, tier_hashes
 from assets_def.metadata import inline_figure
-from assets_def.partitions import tier_partitions
+from assets_def.partitions import shards_to_tiers, tier_partitions
+from assets_def.products import FilesProduct, Record
+from assets_def.proof_assets import VALUE_TABLES
 from assets_def.resources import Benchmark
-from assets_def.tier_tables import publish_tier_table
-from pipelines.decoded import Decoded
-from pipelines.proofs.audits import audit_items, audit_rows, choose_audited
-from pipelines.proofs.repeats import Repeat, attempt_rows, choose_perturbed
-from pipelines.recipe import Recipe
+from assets_def.steps import Step
 from reports.ablation import ablation_report
 from reports.audit import audit_report
 from reports.gallery import gallery_report
 from reports.load import load_release
 from reports.profile import profile_report
-from reports.repeatability import choose_tasks, repeatability_report
+from reports.repeatability import repeatability_report
 from reports.report import Report
+from reports.shard_diagnostics import SHARD_TABLES, shard_diagnostics_report
 from reports.success_at_k import success_at_k_report
-from tables.schemas import ATTEMPTS, AUDITS, OBJECT_TABLES, PREDICTIONS, TIMINGS
-from tables.store import read_table, table_from_rows
-from tables.vocabulary import Perturbation
+from tables.identity import shards_of_tier
+from tables.schemas import ALL_SCHEMAS, ATTEMPTS, AUDITS, PREDICTIONS, TIMINGS
+from tables.store import read_table, read_tables
 
-REPORT_CODE_VERSION = "1"
-# Executed candidates repeated under each perturbation, and filmstrips an execution status.
-N_PERTURBED = {"mini": 24, "pilot": 300, "full": 900}
-# Solved paths rechecked, and rejections judged again for each reason.
-N_AUDITED = {"mini": (20, 3), "pilot": (500, 50), "full": (1000, 100)}
+# Any change of a report's wording, numbers or pictures makes it anew.
+REPORT_CODE_VERSION = source_version("reports", "pipelines/pictures", "splits/markdown.py")
+# Filmstrips an execution status.
 N_FILMS = {"mini": 1, "pilot": 3, "full": 3}
-# What candidates are decoded from, with their labels and plans.
-_VALUE_TABLES = (*OBJECT_TABLES, "scenes", "obstacles", "targets", "grasps", "candidates", "plans")
 
 
-@multi_asset(
-    name="repeat_executions",
-    specs=[
-        AssetSpec(
-            "attempts",
-            deps=["release"],
-            description="Plans and executes chosen candidates again, each in a fresh process: tasks chosen by hash before any outcome is"
-            f" read, and executed candidates under changes that ought not to matter. Rows: {ATTEMPTS.meaning}.",
-            group_name="reports",
-            code_version=REPORT_CODE_VERSION,
-            kinds={"parquet"},
-        )
-    ],
-    check_specs=[schema_check_spec(ATTEMPTS)],
-    partitions_def=tier_partitions,
-)
-def attempts(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
-    tier = context.partition_key
-    tables = load_release(benchmark.root.release(tier), _VALUE_TABLES)
-    recipe = benchmark.recipe_of_tier(tier)
-    blind = tables["candidates"].select(["candidate_id", "scene_id", "target_id"])
-    chosen = [
-        *((task.candidate_id, Perturbation.FRESH, k) for task in choose_tasks(blind, recipe.seed) for k in range(task.n_repeats)),
-        *((name, kind, 0) for name, kind in choose_perturbed(tables["candidates"], recipe.seed, N_PERTURBED[tier])),
-    ]
-    rows = list(attempt_rows(_repeats(Decoded(tables), recipe, chosen), benchmark.n_workers))
-    yield from publish_tier_table(benchmark, tier, ATTEMPTS, table_from_rows(ATTEMPTS, rows))
+@dataclass(frozen=True, slots=True)
+class ReportKind:
+    """One report: its name, what it reads, and how it is made.
 
+    Attributes:
+        tables: tables of the tier that it reads.
+        shard_tables: tables that it reads shard by shard; without them it reads the release.
+        reads_timings: whether it shows how long anything took.
+        parameters: of a tier, where the report depends on more than its tables and the recipe.
+    """
 
-def _repeats(release: Decoded, recipe: Recipe, chosen: Sequence[tuple[str, Perturbation, int]]) -> list[Repeat]:
-    repeats = []
-    for name, kind, number in chosen:
-        candidate = release.candidate(name)
-        repeats.append(Repeat(recipe, release.object_model_of(candidate), candidate, release.labels(name), kind, number))
-    return repeats
+    name: str
+    description: str
+    make: Callable[[Benchmark, str], Report]
+    tables: tuple[str, ...] = ()
+    shard_tables: tuple[str, ...] = ()
+    reads_timings: bool = False
+    parameters: Mapping[str, int] = field(default_factory=dict)
 
+    @property
+    def asset(self) -> str:
+        """Name of the asset; a report that shares its name with a package says that it is a report."""
+        return self.name if self.shard_tables else f"{self.name}_report"
 
-@multi_asset(
-    name="audit_labels",
-    specs=[
-        AssetSpec(
-            "audits",
-            deps=["release"],
-            description="Checks planning labels by other means: solved paths in a second collision engine, spent budgets with ten times"
-            f" as much, rejections by a finer, independent judge. Rows: {AUDITS.meaning}.",
-            group_name="reports",
-            code_version=REPORT_CODE_VERSION,
-            kinds={"parquet"},
-        )
-    ],
-    check_specs=[schema_check_spec(AUDITS)],
-    partitions_def=tier_partitions,
-)
-def audits(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
-    tier = context.partition_key
-    tables = load_release(benchmark.root.release(tier), _VALUE_TABLES)
-    recipe = benchmark.recipe_of_tier(tier)
-    chosen = choose_audited(tables["candidates"], recipe.seed, *N_AUDITED[tier])
-    rows = list(audit_rows(audit_items(chosen, Decoded(tables), recipe), benchmark.n_workers))
-    yield from publish_tier_table(benchmark, tier, AUDITS, table_from_rows(AUDITS, rows))
+    @property
+    def deps(self) -> list[AssetDep]:
+        """Upstream assets."""
+        shards = [AssetDep(name, partition_mapping=shards_to_tiers) for name in self.shard_tables]
+        return shards or [AssetDep("release"), *(AssetDep(name) for name in self.tables)]
+
+    def product(self, benchmark: Benchmark, tier: str) -> FilesProduct:
+        """The report's files and what they would be made from today."""
+        made_from = {
+            "code": REPORT_CODE_VERSION,
+            "recipe": benchmark.recipe_of_tier(tier).hash_of(),
+            "library.matplotlib": metadata.version("matplotlib"),
+            **(shard_hashes(benchmark, tier, self.shard_tables) or release_hashes(benchmark, tier, with_timings=self.reads_timings)),
+            **tier_hashes(benchmark, tier, self.tables),
+            **({"parameter": str(self.parameters[tier])} if self.parameters else {}),
+        }
+        return FilesProduct(benchmark.report_dir(tier) / f"{self.name}.made_from.json", made_from)
+
+    def write(self, benchmark: Benchmark, tier: str) -> tuple[list[Path], dict[str, Any]]:
+        """Make the report and publish its files."""
+        directory = benchmark.report_dir(tier)
+        report = self.make(benchmark, tier)
+        markdown = report.write(directory)
+        return [markdown, directory / f"{self.name}.json", *(directory / f"{stem}.png" for stem in report.figures)], {}
 
 
 def _success_at_k(benchmark: Benchmark, tier: str) -> Report:
@@ -134,44 +112,74 @@ def _profile(benchmark: Benchmark, tier: str) -> Report:
 
 
 def _gallery(benchmark: Benchmark, tier: str) -> Report:
-    tables = load_release(benchmark.root.release(tier), _VALUE_TABLES)
+    tables = load_release(benchmark.root.release(tier), VALUE_TABLES)
     return gallery_report(tables, benchmark.recipe_of_tier(tier), tier=tier, n_films=N_FILMS[tier])
 
 
-def _report_asset(name: str, deps: Sequence[str], description: str, make: Callable[[Benchmark, str], Report]) -> AssetsDefinition:
+def _shard_diagnostics(benchmark: Benchmark, tier: str) -> Report:
+    paths = {name: [benchmark.root.shard_table(shard, name) for shard in shards_of_tier(tier)] for name in SHARD_TABLES}
+    return shard_diagnostics_report({name: read_tables(ALL_SCHEMAS[name], paths[name]) for name in SHARD_TABLES}, tier=tier)
+
+
+PROFILE = ReportKind("profile", "Counts, statuses, coverage and the ladder of policies that learn nothing.", _profile, reads_timings=True)
+REPORTS = (
+    ReportKind(
+        "shard_diagnostics",
+        "Yields of every shard of a tier side by side, with shards that stand out flagged by a robust z-score.",
+        _shard_diagnostics,
+        shard_tables=SHARD_TABLES,
+    ),
+    PROFILE,
+    ReportKind("gallery", "Contact sheets: scenes, grasps, filmstrips of every outcome.", _gallery, parameters=N_FILMS),
+    ReportKind("repeatability", "How often a label comes out the same again.", _repeatability, ("attempts",)),
+    ReportKind("audit", "What the audits of the planning labels found.", _audit, ("audits",)),
+    ReportKind(
+        "success_at_k",
+        "S_K of six policies on both tasks, the paper beside ours.",
+        _success_at_k,
+        ("predictions", "decision_times"),
+        reads_timings=True,
+    ),
+    ReportKind("ablation", "The ranker and three ablations on the validation split.", _ablation, ("predictions",)),
+)
+
+
+def _report_asset(kind: ReportKind) -> AssetsDefinition:
     @asset(
-        name=f"{name}_report",
-        deps=[AssetDep(dep) for dep in deps],
-        description=description,
+        name=kind.asset,
+        deps=kind.deps,
+        description=kind.description,
         group_name="reports",
         code_version=REPORT_CODE_VERSION,
         partitions_def=tier_partitions,
         kinds={"markdown"},
     )
-    def report(context: AssetExecutionContext, benchmark: Benchmark) -> MaterializeResult:
+    def report(context: AssetExecutionContext, benchmark: Benchmark) -> MaterializeResult[None]:
         tier = context.partition_key
-        made = make(benchmark, tier)
-        path = made.write(benchmark.report_dir(tier))
-        figures = {f"figure {stem}": inline_figure(png) for stem, png in made.figures.items()}
-        report_text = MetadataValue.md(made.markdown)
-        metrics = {name: float(value) for name, value in made.metrics.items()}
-        return MaterializeResult(metadata={"path": MetadataValue.path(str(path)), "report": report_text, **metrics, **figures})
+        record, is_reused = kind.product(benchmark, tier).publish(lambda: kind.write(benchmark, tier))
+        markdown = benchmark.report_dir(tier) / f"{kind.name}.md"
+        shown = _shown(markdown, record) | {"reused": is_reused}
+        return MaterializeResult(metadata=shown, data_version=DataVersion(record.content_hash))
 
     return report
 
 
-success_at_k = _report_asset(
-    "success_at_k", ["release", "predictions", "decision_times"], "S_K of six policies on both tasks, the paper beside ours.", _success_at_k
-)
-ablation = _report_asset("ablation", ["release", "predictions"], "The ranker and three ablations on the validation split.", _ablation)
-repeatability = _report_asset("repeatability", ["release", "attempts"], "How often a label comes out the same again.", _repeatability)
-audit = _report_asset("audit", ["release", "audits"], "What the audits of the planning labels found.", _audit)
-profile = _report_asset("profile", ["release"], "Counts, statuses, coverage and the ladder of policies that learn nothing.", _profile)
-gallery = _report_asset("gallery", ["release"], "Contact sheets: scenes, grasps, filmstrips of every outcome.", _gallery)
+def _shown(markdown: Path, record: Record) -> dict[str, Any]:
+    """A published report as the UI shows it: text, figures, and its metrics as numbers."""
+    figures = [markdown.parent / name for name in record.files if name.endswith(".png")]
+    metrics: dict[str, float] = json.loads(markdown.with_suffix(".json").read_text(encoding="utf-8"))
+    return {
+        "path": MetadataValue.path(str(markdown)),
+        "report": MetadataValue.md(markdown.read_text(encoding="utf-8")),
+        **{name: float(value) for name, value in metrics.items()},
+        **{f"figure {path.stem}": inline_figure(path.read_bytes()) for path in figures},
+    }
 
-report_assets = [attempts, audits, profile, gallery, repeatability, audit, success_at_k, ablation]
+
+def _step(kind: ReportKind, made: AssetsDefinition) -> Step:
+    return Step(f"{kind.name} report", made, lambda benchmark, tier: [kind.product(benchmark, tier)], lambda benchmark, tier: [])
 
 
-def report_assets_of(until: str) -> list[AssetsDefinition]:
-    """The report assets that need no ranker, or all."""
-    return report_assets if until == "reports" else [attempts, audits, profile, gallery, repeatability, audit]
+report_assets = [_report_asset(kind) for kind in REPORTS]
+report_steps = tuple(_step(kind, made) for kind, made in zip(REPORTS, report_assets, strict=True))
+profile_step = report_steps[REPORTS.index(PROFILE)]

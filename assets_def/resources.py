@@ -18,7 +18,7 @@ from tables.identity import family_of_shard, family_of_tier
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
-class Benchmark(ConfigurableResource):
+class Benchmark(ConfigurableResource[None]):
     """Folders and recipe of this checkout; relative paths are below the repository."""
 
     data_dir: str = "data"

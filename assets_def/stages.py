@@ -13,7 +13,7 @@ from dagster import (
     multi_asset,
 )
 
-from assets_def.checks import law_check, law_check_spec, schema_check, schema_check_spec
+from assets_def.checks import law_check_spec, schema_check_spec, stage_checks
 from assets_def.metadata import table_metadata
 from assets_def.partitions import shard_partitions
 from assets_def.resources import Benchmark
@@ -44,10 +44,10 @@ def _asset_of(stage: Stage) -> AssetsDefinition:
         check_specs=[*(schema_check_spec(schema) for schema in stage.outputs), law_check_spec(stage)],
         partitions_def=shard_partitions,
     )
-    def make(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult | AssetCheckResult]:
+    def make(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
         shard = context.partition_key
         inputs = benchmark.shard_inputs(shard)
-        report = run_stage(stage, shard, benchmark.root, inputs, benchmark.n_workers, lambda p: _tell(context, p))
+        report = run_stage(stage, shard, benchmark.root, inputs, benchmark.n_workers, lambda p: _tell(context, p), context.log.warning)
         context.log.info(f"{shard}.{stage.name}: {'up to date' if report.is_reused else f'made in {report.wall_s:.1f} s'}")
         for schema in stage.outputs:
             sidecar = report.sidecars[schema.name]
@@ -60,8 +60,7 @@ def _asset_of(stage: Stage) -> AssetsDefinition:
                 "peak_worker_gib": report.peak_gib,
             }
             yield MaterializeResult(schema.name, metadata=metadata, data_version=DataVersion(sidecar.content_hash))
-            yield schema_check(schema, path)
-        yield law_check(stage, benchmark.root, shard, inputs.promise)
+        yield from stage_checks(stage, benchmark.root, shard, inputs.promise)
 
     return make
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,19 +13,24 @@ import safetensors
 import safetensors.torch
 import torch
 
-from model.inputs import KEY_COLUMNS, InputError, contract_hash
+from model.errors import CheckpointError, RankerError, one_line
+from model.inputs import KEY_COLUMNS, column_errors, contract_hash
+from model.outputs import check_writable, writing
 from model.ranker import Ranker
-from model.settings import RankerError, RankerSettings, Variant, settings_from_dict, settings_to_dict, variant_named
+from model.release_tables import manifest_sha256, published_sha256
+from model.settings import RankerSettings, Variant, check_seed, settings_from_dict, settings_to_dict, variant_named
 from tables.schemas import SCHEMA_VERSION
-from tables.store import file_sha256, write_text_atomically
+from tables.store import file_sha256, write_bytes_atomically, write_text_atomically
 
 FORMAT_VERSION = 1
 
-_WEIGHTS, _DESCRIPTION, _RESUME = "ranker.safetensors", "ranker.json", "resume.safetensors"
+RESUME = "resume.safetensors"
 
+_WEIGHTS, _DESCRIPTION = "ranker.safetensors", "ranker.json"
+# Columns that were read and the hash of the description itself are younger than the format: a checkpoint without them can be scored.
+_INPUT_COLUMNS, _OWN_SHA256 = "input_columns", "description_sha256"
 
-class CheckpointError(RankerError):
-    """A checkpoint that is missing, changed or made under another contract."""
+Weights = dict[str, torch.Tensor]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +41,10 @@ class TrainingIdentity:
     seed: int
     settings: RankerSettings
     release_sha256: str  # of the tables that are read: inputs, labels, splits
-    manifest_sha256: str | None  # of the release's manifest.json; null for a folder without one
+    manifest_sha256: str | None  # of manifest.json in the release; null for a folder without one
+
+    def __post_init__(self) -> None:
+        check_seed(self.seed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,73 +56,128 @@ class Progress:
     selected_by: str
     history: tuple[dict[str, Any], ...]
 
+    def __post_init__(self) -> None:
+        if self.n_epochs_done != len(self.history):
+            raise CheckpointError(f"progress: {self.n_epochs_done} epochs done, {len(self.history)} in the history, must be equal")
+        if self.best_epoch not in range(self.n_epochs_done):
+            raise CheckpointError(f"progress: best epoch {self.best_epoch}, must be in [0, {self.n_epochs_done})")
+
 
 def identity_of(release_dir: Path, variant: Variant, seed: int, settings: RankerSettings) -> TrainingIdentity:
-    """Identity of a training on a release; raises InputError where a table is missing."""
+    """Identity of a training on a release; raises InputError where a table is missing or not the one that was published."""
     digest = hashlib.sha256()
-    for table in sorted(KEY_COLUMNS):
-        path = release_dir / f"{table}.parquet"
-        if not path.exists():
-            raise InputError(f"{path}: missing; the ranker reads {sorted(KEY_COLUMNS)}")
-        digest.update(f"{table}:{file_sha256(path)}\n".encode())
-    manifest = release_dir / "manifest.json"
-    return TrainingIdentity(variant, seed, settings, digest.hexdigest(), file_sha256(manifest) if manifest.exists() else None)
+    for table, sha256 in published_sha256(release_dir, sorted(KEY_COLUMNS)).items():
+        digest.update(f"{table}:{sha256}\n".encode())
+    return TrainingIdentity(variant, seed, settings, digest.hexdigest(), manifest_sha256(release_dir))
 
 
-def save_checkpoint(directory: Path, identity: TrainingIdentity, progress: Progress, weights: Mapping[str, torch.Tensor]) -> None:
-    """Publish the weights, then the description that names their SHA-256."""
+def check_checkpoint_writable(directory: Path) -> None:
+    """Raise OutputError where a checkpoint could not be written into `directory`; makes nothing."""
+    for name in (_WEIGHTS, _DESCRIPTION, RESUME):
+        check_writable(directory / name)
+
+
+def save_checkpoint(
+    directory: Path,
+    identity: TrainingIdentity,
+    progress: Progress,
+    weights: Mapping[str, torch.Tensor],
+    input_columns: Mapping[str, Collection[str]],
+) -> None:
+    """Publish the weights, then the description that names their SHA-256.
+
+    Args:
+        input_columns: the columns that the training read as inputs, by table (InputReader.selected).
+    """
     _write_tensors(directory / _WEIGHTS, weights)
-    described = _description(identity, progress) | {"weights_sha256": file_sha256(directory / _WEIGHTS)}
-    write_text_atomically(directory / _DESCRIPTION, json.dumps(described, indent=2, allow_nan=False) + "\n")
+    described = _description(identity, progress) | {
+        "weights_sha256": file_sha256(directory / _WEIGHTS),
+        _INPUT_COLUMNS: {table: list(columns) for table, columns in input_columns.items()},
+    }
+    described[_OWN_SHA256] = _sha256_of(described)
+    with writing(directory / _DESCRIPTION):
+        write_text_atomically(directory / _DESCRIPTION, json.dumps(described, indent=2, allow_nan=False) + "\n")
 
 
 def load_checkpoint(directory: Path) -> tuple[Ranker, TrainingIdentity, Progress]:
     """The ranker of a checkpoint, ready to score.
 
     Raises:
-        CheckpointError: missing, changed on disk, or trained under another input contract or format.
+        CheckpointError: missing, changed on disk, of sizes that its weights do not have, or trained under another input contract or format.
     """
     path = directory / _DESCRIPTION
-    for needed in (path, directory / _WEIGHTS):
-        if not needed.exists():
-            raise CheckpointError(f"{needed}: missing; train first (python -m model.training)")
-    identity, progress, described = _parsed(path, path.read_text())
-    found = file_sha256(directory / _WEIGHTS)
-    if found != described.get("weights_sha256"):
-        raise CheckpointError(
-            f"{directory / _WEIGHTS}: SHA-256 {found[:12]}, {_DESCRIPTION} says {str(described.get('weights_sha256'))[:12]}"
-        )
-    ranker = Ranker(identity.settings, identity.variant, identity.seed)
-    ranker.load_state_dict(safetensors.torch.load_file(directory / _WEIGHTS))
+    described = _read_description(directory)
+    identity, progress = _parsed(path, described)
+    weights = _read_weights(directory / _WEIGHTS, str(described.get("weights_sha256")))
+    ranker = Ranker(identity.settings, identity.variant, None)
+    check_weights(ranker, weights, directory / _WEIGHTS)
+    ranker.load_state_dict(weights)
+    found = _sha256_of(described)
+    # Last: a size that does not fit the weights is named above; this finds what weights cannot tell, such as another number of points.
+    if described.get(_OWN_SHA256, found) != found:
+        raise CheckpointError(f"{path}: SHA-256 {found[:12]}, it says {str(described[_OWN_SHA256])[:12]}; it was changed after training")
     return ranker.eval(), identity, progress
 
 
+def input_errors(directory: Path) -> list[str]:
+    """What is wrong with the columns that a checkpoint says its training read as inputs; empty where they are the contract exactly.
+
+    Each column that is forbidden, unknown or missing is named with its table; so is a checkpoint that records none or cannot be read.
+    """
+    path = directory / _DESCRIPTION
+    try:
+        selected = _read_description(directory).get(_INPUT_COLUMNS)
+    except CheckpointError as error:
+        return [str(error)]
+    if not selected:
+        return [f"{path}: {_INPUT_COLUMNS} is missing or empty, must name the columns that the training read"]
+    if not isinstance(selected, dict) or not all(_is_list_of_names(columns) for columns in selected.values()):
+        return [f"{path}: {_INPUT_COLUMNS} must map each table to a list of column names"]
+    return column_errors(selected)
+
+
+def check_weights(ranker: Ranker, weights: Mapping[str, torch.Tensor], path: Path) -> None:
+    """Raise CheckpointError where weights read from `path` are not finite or do not fit a ranker."""
+    expected = ranker.state_dict()
+    strange = sorted(expected.keys() ^ weights.keys())
+    if strange:
+        problem = "missing from" if strange[0] in expected else "not a weight of"
+        raise CheckpointError(f"{path}: {strange[0]} is {problem} a ranker of variant {ranker.variant.value} with its settings")
+    for name, tensor in weights.items():
+        mine, theirs = (f"{t.dtype} {list(t.shape)}" for t in (tensor, expected[name]))
+        if mine != theirs:
+            raise CheckpointError(f"{path}: {name} is {mine}, its settings need {theirs}")
+        if not bool(torch.isfinite(tensor).all()):
+            raise CheckpointError(f"{path}: {name} has values that are not finite, must have 0")
+
+
 def save_resume_state(directory: Path, identity: TrainingIdentity, progress: Progress, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Publish all that the next epoch needs in one file, so that a kill leaves this epoch's state or the last one's."""
-    _write_tensors(directory / _RESUME, tensors, {"description": json.dumps(_description(identity, progress), allow_nan=False)})
+    """Publish all that the next epoch needs in one file, so that a kill leaves the state of this epoch or that of the last one."""
+    _write_tensors(directory / RESUME, tensors, {"description": json.dumps(_description(identity, progress), allow_nan=False)})
 
 
-def load_resume_state(directory: Path, identity: TrainingIdentity) -> tuple[Progress, dict[str, torch.Tensor]] | None:
-    """State of this very training, or None where there is none; another training's state is no state.
+def load_resume_state(directory: Path, identity: TrainingIdentity) -> tuple[Progress, Weights] | None:
+    """State of this very training, or None where there is none; the state of another training is no state.
 
     Raises:
         CheckpointError: the file is not a resume state.
     """
-    path = directory / _RESUME
-    if not path.exists():
-        return None
+    path = directory / RESUME
     try:
+        if not path.exists():
+            return None
         with safetensors.safe_open(path, framework="pt") as stored:
             description = (stored.metadata() or {}).get("description", "")
             tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118 (not a mapping)
-    except safetensors.SafetensorError as error:
-        raise CheckpointError(f"{path}: not a resume state ({error}); delete it to start afresh") from error
-    theirs, progress, _ = _parsed(path, description)
+    except (safetensors.SafetensorError, OSError) as error:
+        raise CheckpointError(f"{path}: not a resume state ({one_line(error)}); delete it to start afresh") from error
+    theirs, progress = _parsed(path, _json_object(path, description))
     return (progress, tensors) if theirs == identity else None
 
 
 def drop_resume_state(directory: Path) -> None:
-    (directory / _RESUME).unlink(missing_ok=True)
+    with writing(directory / RESUME):
+        (directory / RESUME).unlink(missing_ok=True)
 
 
 def _description(identity: TrainingIdentity, progress: Progress) -> dict[str, Any]:
@@ -130,26 +191,69 @@ def _description(identity: TrainingIdentity, progress: Progress) -> dict[str, An
     }
 
 
-def _parsed(path: Path, text: str) -> tuple[TrainingIdentity, Progress, dict[str, Any]]:
+def _sha256_of(described: Mapping[str, Any]) -> str:
+    """SHA-256 of a description without its own hash, independent of spaces and of the order of names."""
+    content = {name: value for name, value in described.items() if name != _OWN_SHA256}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _read_description(directory: Path) -> dict[str, Any]:
+    path = directory / _DESCRIPTION
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise CheckpointError(_missing(path)) from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise CheckpointError(f"{path}: not a checkpoint ({one_line(error)})") from error
+    return _json_object(path, text)
+
+
+def _json_object(path: Path, text: str) -> dict[str, Any]:
     try:
         described = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise CheckpointError(f"{path}: not a checkpoint ({one_line(error)})") from error
+    if not isinstance(described, dict):
+        raise CheckpointError(f"{path}: not a checkpoint (a JSON {type(described).__name__}, must be an object)")
+    return described
+
+
+def _parsed(path: Path, described: Mapping[str, Any]) -> tuple[TrainingIdentity, Progress]:
+    try:
         for name, expected in (("format_version", FORMAT_VERSION), ("contract_hash", contract_hash())):
             if described[name] != expected:
-                raise CheckpointError(f"{path}: {name} is {described[name]}, must be {expected}")
+                raise CheckpointError(f"{name} is {described[name]}, must be {expected}")
         identity, progress = described["identity"], described["progress"]
         settings = {"variant": variant_named(identity["variant"]), "settings": settings_from_dict(identity["settings"])}
-        return TrainingIdentity(**{**identity, **settings}), Progress(**{**progress, "history": tuple(progress["history"])}), described
-    except (json.JSONDecodeError, KeyError, TypeError) as error:
-        raise CheckpointError(f"{path}: not a checkpoint ({type(error).__name__}: {error})") from error
+        return TrainingIdentity(**{**identity, **settings}), Progress(**{**progress, "history": tuple(progress["history"])})
+    except RankerError as error:
+        raise CheckpointError(f"{path}: {error}") from error
+    except (KeyError, TypeError, OverflowError) as error:
+        raise CheckpointError(f"{path}: not a checkpoint ({type(error).__name__}: {one_line(error)})") from error
+
+
+def _read_weights(path: Path, expected_sha256: str) -> Weights:
+    try:
+        found = file_sha256(path)
+        if found != expected_sha256:
+            raise CheckpointError(f"{path}: SHA-256 {found[:12]}, {_DESCRIPTION} says {expected_sha256[:12]}")
+        return safetensors.torch.load_file(path)
+    except FileNotFoundError as error:
+        raise CheckpointError(_missing(path)) from error
+    except (safetensors.SafetensorError, OSError) as error:
+        raise CheckpointError(f"{path}: not the weights of a ranker ({one_line(error)})") from error
+
+
+def _missing(path: Path) -> str:
+    return f"{path}: missing; train first (python -m model.training)"
+
+
+def _is_list_of_names(columns: Any) -> bool:
+    return isinstance(columns, list) and all(isinstance(column, str) for column in columns)
 
 
 def _write_tensors(path: Path, tensors: Mapping[str, torch.Tensor], metadata: dict[str, str] | None = None) -> None:
     """Publish a safetensors file: temporary file, fsync, rename."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as handle:
-        handle.write(safetensors.torch.save(plain, metadata))
-        handle.flush()
-        os.fsync(handle.fileno())
-    os.chmod(handle.name, 0o644)
-    os.replace(handle.name, path)
+    with writing(path):
+        write_bytes_atomically(path, safetensors.torch.save(plain, metadata))

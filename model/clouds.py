@@ -1,4 +1,4 @@
-"""From scene points to target-conditioned typed clouds and their neighbourhoods; what a network makes of them is pointnet2's.
+"""From scene points to target-conditioned typed clouds and their neighbourhoods; what a network makes of them is in pointnet2.py.
 
 Everything depends on geometry alone and not on the order of the stored points, so it is computed once when a release is loaded.
 """
@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Int
 
-from model.inputs import ENVIRONMENT, OBJECT, OBSTACLE, TARGET, InputError, ReleaseInputs, SceneCloud
+from model.errors import InputError
+from model.inputs import ENVIRONMENT, OBJECT, OBSTACLE, TARGET, ReleaseInputs, SceneCloud
 from model.settings import RankerSettings
 from tables.poses import inverse
 
@@ -50,11 +51,11 @@ def grouped_clouds(inputs: ReleaseInputs, settings: RankerSettings, has_target_c
 
 
 def sample_cloud(cloud: SceneCloud, settings: RankerSettings) -> tuple[Float32[np.ndarray, "n 3"], Int[np.ndarray, "n"]]:
-    """A scene's points in the canonical order: a quarter environment, object, (future) target and obstacle, farthest-point sampled in each.
+    """The points of a scene in canonical order: a quarter each environment, object, future target and obstacle, farthest-point sampled.
 
     The types are interleaved, so any leading part of the cloud covers all of them evenly, which is what makes leading points good centres
-    and leading neighbours a well-spread sample of a ball. The target's quarter holds the object's points, still unmoved. Without
-    obstacles their quarter goes to the environment.
+    and leading neighbours a well-spread sample of a ball. The quarter of the target holds the points of the object, still unmoved.
+    Without obstacles their quarter goes to the environment.
 
     Raises:
         InputError: no environment point lies within the crop.
@@ -127,7 +128,7 @@ def _farthest_points(points_m: Float32[np.ndarray, "n 3"], n_chosen: int) -> Flo
 def _conditioned(
     points_m: Float32[np.ndarray, "n 3"], types: Int[np.ndarray, "n"], T_to_target: Float[np.ndarray, "4 4"] | None
 ) -> tuple[Float32[np.ndarray, "m 3"], Int[np.ndarray, "m"]]:
-    """Move the target's points by T_base_target @ inv(T_base_object), or leave them out."""
+    """Move the points of the target copy by T_base_target @ inv(T_base_object), or leave them out."""
     is_target = types == TARGET
     if T_to_target is None:
         return points_m[~is_target], types[~is_target]

@@ -8,23 +8,24 @@ from contextlib import contextmanager
 
 import torch
 
-from model.settings import RankerError, RankerSettings
+from model.errors import SettingsError
+from model.settings import RankerSettings
 
 
 def device_named(name: str) -> torch.device:
-    """`auto` is CUDA where there is one; raises RankerError on a device that is not there."""
+    """`auto` is CUDA where there is one; raises SettingsError on a device that is not there."""
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if name not in ("cpu", "cuda"):
-        raise RankerError(f"device {name!r}, must be auto, cpu or cuda")
+        raise SettingsError(f"device {name!r}, must be auto, cpu or cuda")
     if name == "cuda" and not torch.cuda.is_available():
-        raise RankerError("device cuda: torch finds no CUDA device")
+        raise SettingsError("device cuda: torch finds no CUDA device")
     return torch.device(name)
 
 
 @contextmanager
 def deterministic(settings: RankerSettings, device: torch.device) -> Iterator[None]:
-    """Deterministic kernels and the settings' number of threads inside; the caller's own come back afterwards, its random state too."""
+    """Deterministic kernels and the number of threads of the settings inside; what the caller had comes back, its random state too."""
     # cuBLAS reads this when its first handle is made; without it deterministic mode refuses matrix products.
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
     was_deterministic, n_threads = torch.are_deterministic_algorithms_enabled(), torch.get_num_threads()

@@ -1,4 +1,4 @@
-"""The five inputs of the ranker, enforced by column name, and their reading from a release; labels are read elsewhere (labels.py).
+"""The five inputs of the ranker, enforced by column name, and their reading from a release; labels are read in labels.py.
 
 Everything here is known before motion planning. A column that only planning, pick-lift or execution can know raises.
 """
@@ -11,14 +11,15 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from jaxtyping import Float, Float32, Int
 
-from model.settings import RankerError
+from model.errors import ForbiddenColumnError, InputError
+from model.release_tables import read_table_columns, row_error
 from tables import schemas
 from tables.poses import inverse, matrix_of, pose_columns
 from tables.vocabulary import PointType
@@ -60,13 +61,9 @@ _AFTER = {
 }
 FORBIDDEN_COLUMNS = frozenset(_AFTER - {"scene_id", "target_id", "grasp_id", "candidate_id"})
 
+SHORTEST_QUATERNION = 1e-6  # below it a direction is rounding noise
 
-class InputError(RankerError):
-    """A release that the ranker cannot read; names file or id."""
-
-
-class ForbiddenColumnError(InputError):
-    """A request for a column that is not one of the five inputs."""
+Pose = Float[np.ndarray, "4 4"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,13 +93,39 @@ class ReleaseInputs:
     T_grasp_object: Float[np.ndarray, "c 4 4"]
 
 
-def read_inputs(release_dir: Path, scene_ids: Collection[str] | None = None) -> ReleaseInputs:
+class InputReader:
+    """The one door through which inputs come in from a release: it lets the contract through and remembers what it selected."""
+
+    def __init__(self, release_dir: Path) -> None:
+        self.release_dir = release_dir
+        self._selected: dict[str, set[str]] = {}
+
+    @property
+    def selected(self) -> dict[str, list[str]]:
+        """The columns that were read so far, by table, both sorted."""
+        return {table: sorted(columns) for table, columns in sorted(self._selected.items())}
+
+    def columns(self, table: str, columns: Sequence[str]) -> pa.Table:
+        """Named columns of a release table, dictionaries decoded and values checked.
+
+        Raises:
+            ForbiddenColumnError: a column outside the five inputs and their keys.
+            InputError: the table or a column does not exist, or a value that its schema does not allow.
+        """
+        check_columns(table, columns)
+        rows = read_table_columns(self.release_dir, table, columns)
+        self._selected.setdefault(table, set()).update(rows.column_names)
+        return rows
+
+
+def read_inputs(reader: InputReader, scene_ids: Collection[str] | None = None) -> ReleaseInputs:
     """The five inputs of the candidates of `scene_ids`, or of all scenes that have candidates.
 
     Raises:
-        InputError: a table is missing, a candidate without scene, target or grasp, or an object that no camera saw.
+        InputError: a table is missing or holds an impossible value, a candidate without scene, target or grasp, or an object that no
+            camera saw.
     """
-    keys = read_columns(release_dir, "candidates", KEY_COLUMNS["candidates"])
+    keys = reader.columns("candidates", KEY_COLUMNS["candidates"])
     keys = keys.sort_by([(name, "ascending") for name in ("scene_id", "target_id", "grasp_id")])
     if scene_ids is not None:
         keys = keys.filter(pc.is_in(keys["scene_id"], pa.array(sorted(scene_ids), pa.string())))
@@ -110,9 +133,9 @@ def read_inputs(release_dir: Path, scene_ids: Collection[str] | None = None) -> 
     target_of, grasp_of = keys["target_id"].to_numpy(), keys["grasp_id"].to_numpy()
     scenes = sorted(set(scene_of))
 
-    objects = _poses_by_key(release_dir, "scenes", ("scene_id",), "object")
-    targets = _poses_by_key(release_dir, "targets", ("scene_id", "target_id"), "target")
-    grasps = _poses_by_key(release_dir, "grasps", ("scene_id", "grasp_id"), "grasp")
+    objects = _poses_by_key(reader, "scenes", ("scene_id",), "object")
+    targets = _poses_by_key(reader, "targets", ("scene_id", "target_id"), "target")
+    grasps = _poses_by_key(reader, "grasps", ("scene_id", "grasp_id"), "grasp")
     groups = sorted(set(zip(scene_of, target_of.tolist(), strict=True)))
     number_of_scene = {scene_id: k for k, scene_id in enumerate(scenes)}
     number_of_group = {group: k for k, group in enumerate(groups)}
@@ -121,7 +144,7 @@ def read_inputs(release_dir: Path, scene_ids: Collection[str] | None = None) -> 
     T_base_grasp = _looked_up("grasps", grasps, list(zip(scene_of, grasp_of.tolist(), strict=True)))
     of_candidate = np.array([number_of_scene[scene_id] for scene_id in scene_of], dtype=np.int64)
     return ReleaseInputs(
-        clouds=_read_clouds(release_dir, scenes, T_base_object),
+        clouds=_read_clouds(reader, scenes, T_base_object),
         group_scene=np.array([number_of_scene[scene_id] for scene_id, _ in groups], dtype=np.int64),
         group_target_id=np.array([target_id for _, target_id in groups], dtype=np.int64),
         T_base_target=_looked_up("targets", targets, groups),
@@ -148,32 +171,22 @@ def restricted(inputs: ReleaseInputs, groups: Int[np.ndarray, "k"]) -> ReleaseIn
     )
 
 
-def read_columns(release_dir: Path, table: str, columns: Sequence[str]) -> pa.Table:
-    """Named columns of a release table, dictionaries decoded; the one door through which inputs come in.
-
-    Raises:
-        ForbiddenColumnError: a column outside the five inputs and their keys.
-        InputError: the table or a column does not exist.
-    """
-    check_columns(table, columns)
-    path = release_dir / f"{table}.parquet"
-    if not path.exists():
-        raise InputError(f"{path}: missing; a release holds {sorted({*KEY_COLUMNS})}")
-    missing = sorted(set(columns) - set(pq.read_schema(path).names))
-    if missing:
-        raise InputError(f"{path}: column {missing[0]} is missing")
-    read = pq.read_table(path, columns=list(columns))
-    return pa.table({name: read[name].cast(pa.string()) if pa.types.is_dictionary(read[name].type) else read[name] for name in columns})
-
-
 def check_columns(table: str, columns: Sequence[str]) -> None:
     """Raise ForbiddenColumnError for the first column that the contract does not name."""
-    allowed = set(KEY_COLUMNS.get(table, ())) | {name for sources in FIVE_INPUTS.values() for name in sources.get(table, ())}
     for column in columns:
-        if column in FORBIDDEN_COLUMNS:
-            raise ForbiddenColumnError(f"{table}.{column}: known only after pick-lift, planning or execution, must not be a model input")
-        if column not in allowed:
-            raise ForbiddenColumnError(f"{table}.{column}: not one of the five inputs; of {table} the ranker reads {sorted(allowed)}")
+        refusal = _refusal(table, column)
+        if refusal is not None:
+            raise ForbiddenColumnError(refusal)
+
+
+def column_errors(selected: Mapping[str, Collection[str]]) -> list[str]:
+    """Each column, of those that a training read by table, that is forbidden or unknown, and each of the contract that it did not read."""
+    refusals = [_refusal(table, column) for table in sorted(selected) for column in sorted(selected[table])]
+    errors = [refusal for refusal in refusals if refusal is not None]
+    for table in sorted(KEY_COLUMNS):
+        missing = sorted(_allowed(table) - set(selected.get(table, ())))
+        errors += [f"{table}.{column}: not read, must be: the contract names it" for column in missing]
+    return errors
 
 
 def contract_hash() -> str:
@@ -182,27 +195,49 @@ def contract_hash() -> str:
     return hashlib.sha256(json.dumps(contract, sort_keys=True).encode()).hexdigest()
 
 
-def scenes_of_split(release_dir: Path, split: str) -> tuple[str, ...]:
+def scenes_of_split(reader: InputReader, split: str) -> tuple[str, ...]:
     """Ids of the scenes of a split, sorted."""
-    splits = read_columns(release_dir, "splits", KEY_COLUMNS["splits"])
+    splits = reader.columns("splits", KEY_COLUMNS["splits"])
     return tuple(sorted(splits.filter(pc.equal(splits["split"], split))["scene_id"].to_pylist()))
 
 
-def _poses_by_key(release_dir: Path, table: str, key: tuple[str, ...], prefix: str) -> dict[tuple, Float[np.ndarray, "4 4"]]:
-    rows = read_columns(release_dir, table, (*key, *pose_columns(prefix)))
-    poses = matrix_of(np.column_stack([rows[name].to_numpy() for name in pose_columns(prefix)]))
-    return dict(zip(zip(*(rows[name].to_pylist() for name in key), strict=True), poses, strict=True))
+def _allowed(table: str) -> set[str]:
+    return set(KEY_COLUMNS.get(table, ())) | {name for sources in FIVE_INPUTS.values() for name in sources.get(table, ())}
 
 
-def _looked_up(table: str, poses: dict[tuple, Float[np.ndarray, "4 4"]], keys: Sequence[tuple]) -> Float[np.ndarray, "n 4 4"]:
+def _refusal(table: str, column: str) -> str | None:
+    """Why a column may not be read as an input, or None where it may."""
+    if column in FORBIDDEN_COLUMNS:
+        return f"{table}.{column}: known only after pick-lift, planning or execution, must not be a model input"
+    if column not in _allowed(table):
+        return f"{table}.{column}: not one of the five inputs; of {table} the ranker reads {sorted(_allowed(table))}"
+    return None
+
+
+def _poses_by_key(reader: InputReader, table: str, key: tuple[str, ...], prefix: str) -> dict[tuple[Any, ...], Pose]:
+    columns = pose_columns(prefix)
+    rows = reader.columns(table, (*key, *columns))
+    poses = np.column_stack([rows[name].to_numpy() for name in columns])
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(poses[:, 3:], axis=1)
+    is_bad = ~(np.isfinite(length) & (length >= SHORTEST_QUATERNION))
+    if is_bad.any():
+        row = int(np.argmax(is_bad))
+        bound = f"must be finite and at least {SHORTEST_QUATERNION:g}"
+        problem = f"quaternion {columns[3]} ... {columns[6]} has length {length[row]:.3g}, {bound}"
+        raise row_error(reader.release_dir / f"{table}.parquet", rows, row, problem)
+    return dict(zip(zip(*(rows[name].to_pylist() for name in key), strict=True), matrix_of(poses), strict=True))
+
+
+def _looked_up(table: str, poses: Mapping[tuple[Any, ...], Pose], keys: Sequence[tuple[Any, ...]]) -> Float[np.ndarray, "n 4 4"]:
     for key in keys:
         if key not in poses:
             raise InputError(f"{table}: no row {key}, which a candidate needs")
     return np.stack([poses[key] for key in keys]) if keys else np.empty((0, 4, 4))
 
 
-def _read_clouds(release_dir: Path, scenes: Sequence[str], T_base_object: Float[np.ndarray, "s 4 4"]) -> tuple[SceneCloud, ...]:
-    rows = read_columns(release_dir, "scene_points", ("scene_id", "x_m", "y_m", "z_m", "point_type"))
+def _read_clouds(reader: InputReader, scenes: Sequence[str], T_base_object: Float[np.ndarray, "s 4 4"]) -> tuple[SceneCloud, ...]:
+    rows = reader.columns("scene_points", (*KEY_COLUMNS["scene_points"], "x_m", "y_m", "z_m", "point_type"))
     points_m = np.column_stack([rows[name].to_numpy() for name in ("x_m", "y_m", "z_m")]).astype(np.float32)
     types = pc.index_in(rows["point_type"], pa.array(TYPE_NAMES)).to_numpy().astype(np.int64)
     scene_of = pc.fill_null(pc.index_in(rows["scene_id"], pa.array(scenes, pa.string())), -1).to_numpy()

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from jaxtyping import Bool
 
-from model.inputs import InputError
+from model.errors import InputError
+from model.release_tables import read_table_columns, row_error
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +22,8 @@ class Labels:
 
     @property
     def success(self) -> Bool[np.ndarray, "c"]:
-        return self.y_plan & self.y_pipe
+        success: Bool[np.ndarray, "c"] = self.y_plan & self.y_pipe
+        return success
 
 
 def read_labels(release_dir: Path, candidate_ids: Sequence[str]) -> Labels:
@@ -33,17 +33,15 @@ def read_labels(release_dir: Path, candidate_ids: Sequence[str]) -> Labels:
         InputError: the table or a candidate is missing, or a planned candidate has no execution label.
     """
     path = release_dir / "candidates.parquet"
-    if not path.exists():
-        raise InputError(f"{path}: missing")
-    rows = pq.read_table(path, columns=["candidate_id", "y_plan", "y_pipe"])
-    row_of = {candidate_id: k for k, candidate_id in enumerate(rows["candidate_id"].cast(pa.string()).to_pylist())}
+    rows = read_table_columns(release_dir, "candidates", ("candidate_id", "y_plan", "y_pipe"))
+    row_of = {candidate_id: k for k, candidate_id in enumerate(rows["candidate_id"].to_pylist())}
     missing = [candidate_id for candidate_id in candidate_ids if candidate_id not in row_of]
     if missing:
         raise InputError(f"{path}: no row {missing[0]}")
     mine = np.array([row_of[candidate_id] for candidate_id in candidate_ids], dtype=np.int64)
     y_plan = rows["y_plan"].to_numpy(zero_copy_only=False).astype(bool)[mine]
     y_pipe = np.array(rows["y_pipe"].to_pylist(), dtype=object)[mine]
-    for candidate_id, planned, value in zip(candidate_ids, y_plan, y_pipe, strict=True):
+    for row, planned, value in zip(mine, y_plan, y_pipe, strict=True):
         if planned and value is None:
-            raise InputError(f"{path}: {candidate_id} has y_plan true and y_pipe null, must have both labels")
+            raise row_error(path, rows, int(row), "y_plan is true and y_pipe null, must have both labels")
     return Labels(y_plan, np.array([value is True for value in y_pipe], dtype=bool))

@@ -65,7 +65,7 @@ def listwise_losses(
 ) -> Float[torch.Tensor, "h"]:
     """-log of the probability that one draw from the softmax of a group's scores is a success; only groups with a success and a failure.
 
-    Top-one likelihood of ListNet (Cao et al. 2007) with the successes pooled: any success on top is right, as S1 has it.
+    Top-one likelihood of ListNet (Cao et al. 2007) with the successes pooled: any success on top is right, which is how S1 counts.
     """
     is_member = groups >= 0
     members = groups.clamp_min(0)

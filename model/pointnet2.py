@@ -1,4 +1,4 @@
-"""PointNet++ (Qi et al. 2017) over clouds whose neighbourhoods are already known; finding them is clouds.py's."""
+"""PointNet++ (Qi et al. 2017) over clouds whose neighbourhoods are already known; they are found in clouds.py."""
 
 from __future__ import annotations
 
@@ -41,11 +41,12 @@ class PointNet2(nn.Module):
         local = self.local(points, self.types(types), neighbours_1)
         regional = self.regional(points[:, :n_centres_1], local, neighbours_2)
         centres = points[:, :n_centres_2] / self.workspace_scale_m
-        return self.overall(torch.cat([centres, regional], -1)).amax(-2)
+        overall: torch.Tensor = self.overall(torch.cat([centres, regional], -1))
+        return overall.amax(-2)
 
 
 class SetAbstraction(nn.Module):
-    """Each centre gathers its neighbours' features and their offsets in units of the radius, transforms each, and keeps the maximum."""
+    """Each centre gathers features and offsets of its neighbours, in units of the radius, transforms each, and keeps the maximum."""
 
     def __init__(self, n_features: int, widths: Sequence[int], radius_m: float) -> None:
         super().__init__()
@@ -68,11 +69,12 @@ class SetAbstraction(nn.Module):
         first_row = torch.arange(n_clouds, device=points.device)[:, None, None] * n_points
         gathered = of_point.reshape(n_clouds * n_points, -1).index_select(0, (neighbours + first_row).reshape(-1))
         offset = gathered.reshape(*neighbours.shape, -1) - of_centre[:, :, None, :]
-        return self.rest(functional.relu(self.norm(offset))).amax(-2)
+        transformed: torch.Tensor = self.rest(functional.relu(self.norm(offset)))
+        return transformed.amax(-2)
 
 
 class PointwiseLayers(nn.Module):
-    """Linear, LayerNorm, ReLU per row. LayerNorm and not BatchNorm: a cloud's feature must not depend on what else is in the batch."""
+    """Linear, LayerNorm, ReLU per row. LayerNorm and not BatchNorm: the feature of a cloud must not depend on what else is in the batch."""
 
     def __init__(self, widths: Sequence[int]) -> None:
         super().__init__()

@@ -59,9 +59,12 @@ class Prediction:
 
 
 class Ranker(nn.Module):
-    """Scores candidates from the five inputs. Weights depend on the seed and each parameter's name alone."""
+    """Scores candidates from the five inputs. Initial weights depend on the seed and on the name of each parameter alone.
 
-    def __init__(self, settings: RankerSettings, variant: Variant, seed: int) -> None:
+    Without a seed the weights are left to be loaded.
+    """
+
+    def __init__(self, settings: RankerSettings, variant: Variant, seed: int | None) -> None:
         super().__init__()
         self.settings = settings
         self.variant = variant
@@ -73,7 +76,8 @@ class Ranker(nn.Module):
         self.fusion_1, self.fusion_2 = PointwiseLayers(FUSION_WIDTHS[:2]), PointwiseLayers(FUSION_WIDTHS[1:])
         self.plan_head = None if variant is Variant.DIRECT else nn.Linear(FUSION_WIDTHS[-1], 1)
         self.exec_head = nn.Linear(FUSION_WIDTHS[-1], 1)
-        _initialise(self, seed)
+        if seed is not None:
+            _initialise(self, seed)
 
     def forward(self, x: ModelInput) -> Prediction:
         """Logits of every candidate; each cloud and each target is encoded once and shared by its candidates."""
@@ -108,7 +112,8 @@ class PoseBranch(nn.Module):
         position = (pose[..., :3] - pose.new_tensor(self.centre_m)) / self.scale_m
         scaled = torch.cat([position, pose[..., 3:]], -1)
         waves = (scaled[..., None] * self.frequencies).flatten(-2)
-        return self.layers(torch.cat([scaled, waves.sin(), waves.cos()], -1))
+        features: torch.Tensor = self.layers(torch.cat([scaled, waves.sin(), waves.cos()], -1))
+        return features
 
 
 def pose9(T: Float[np.ndarray, "*n 4 4"]) -> Float32[np.ndarray, "*n 9"]:

@@ -1,4 +1,4 @@
-"""What a trained ranker says of every candidate, and how long it takes to say it; judging the scores is reports'.
+"""What a trained ranker says of every candidate, and how long it takes to say it; the scores are judged in reports.
 
 `python -m model.scoring --release DIR --checkpoint DIR --out predictions.parquet`
 """
@@ -19,11 +19,13 @@ from jaxtyping import Float, Int
 from model.batches import EncodedRelease, encode_release, model_input
 from model.checkpoint import load_checkpoint
 from model.determinism import deterministic, device_named
-from model.inputs import InputError, ReleaseInputs, read_inputs, restricted, scenes_of_split
+from model.errors import CheckpointError, InputError, RankerError, SettingsError
+from model.inputs import InputReader, ReleaseInputs, read_inputs, restricted, scenes_of_split
+from model.outputs import check_writable, writing
 from model.ranker import Prediction, Ranker
-from model.settings import RankerError
+from model.release_tables import published_sha256
 from tables.schemas import PREDICTIONS
-from tables.store import StoreError, table_from_columns, write_table
+from tables.store import sidecar_path, table_from_columns, write_table
 
 _GROUPS_AT_ONCE = 32  # bounds memory; a cloud's feature does not depend on which clouds share its batch
 
@@ -47,10 +49,12 @@ def score(release_dir: Path, checkpoint_dir: Path, device: str = "auto") -> pa.T
     """Rows of `predictions` for all candidates of a release, in every split.
 
     Raises:
-        RankerError: the release lacks an input, or the checkpoint is not one.
+        RankerError: the release lacks an input or holds an impossible value, the checkpoint is not one, or a score is not finite.
     """
     ranker, identity, _ = load_checkpoint(checkpoint_dir)
-    inputs = read_inputs(release_dir)
+    reader = InputReader(release_dir)
+    inputs = read_inputs(reader)
+    published_sha256(release_dir, reader.selected)
     if not inputs.candidate_ids:
         raise InputError(f"{release_dir}/candidates.parquet: no candidates to score, must have at least 1")
     release = encode_release(inputs, identity.settings, identity.variant)
@@ -58,6 +62,9 @@ def score(release_dir: Path, checkpoint_dir: Path, device: str = "auto") -> pa.T
     with deterministic(identity.settings, chosen_device):
         prediction = predict(ranker.to(chosen_device), release, np.arange(len(release.group_scene)))
     columns = {name: getattr(prediction, name).double().cpu().numpy() for name in ("log_p_plan", "log_p_exec")}
+    for name, values in columns.items():
+        for k in np.flatnonzero(~np.isfinite(values))[:1]:
+            raise CheckpointError(f"{checkpoint_dir}: {name} of {inputs.candidate_ids[k]} is {values[k]}, must be finite; train again")
     n = len(inputs.candidate_ids)
     return table_from_columns(
         PREDICTIONS,
@@ -94,7 +101,8 @@ def decision_times(
     ranker, identity, _ = load_checkpoint(checkpoint_dir)
     chosen_device = device_named(device)
     ranker = ranker.to(chosen_device)
-    inputs = read_inputs(release_dir, scenes_of_split(release_dir, split)[:n_scenes])
+    reader = InputReader(release_dir)
+    inputs = read_inputs(reader, scenes_of_split(reader, split)[:n_scenes])
     times = []
     with deterministic(identity.settings, chosen_device):
         for scene, cloud in enumerate(inputs.clouds):
@@ -154,15 +162,22 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--device", default="auto", help="auto, cpu or cuda")
     parser.add_argument("--time", type=int, metavar="SCENES", default=0, help="also measure decision times on this many test scenes")
     options = parser.parse_args(arguments)
+    times: list[DecisionTime] = []
     try:
+        if options.time < 0:
+            raise SettingsError(f"--time: {options.time} scenes, must be at least 0")
+        for path in (options.out, sidecar_path(options.out)):
+            check_writable(path)
         predictions = score(options.release, options.checkpoint, options.device)
-        write_table(PREDICTIONS, predictions, options.out)
-        print(f"{options.out}: {predictions.num_rows} candidates scored")
         if options.time:
-            _print_times(decision_times(options.release, options.checkpoint, n_scenes=options.time, device=options.device))
-    except (RankerError, StoreError) as error:
+            times = decision_times(options.release, options.checkpoint, n_scenes=options.time, device=options.device)
+        with writing(options.out):
+            write_table(PREDICTIONS, predictions, options.out)
+    except RankerError as error:
         print(f"error: {error}", file=sys.stderr)
-        return 2
+        return 1
+    print(f"{options.out}: {predictions.num_rows} candidates scored")
+    _print_times(times)
     return 0
 
 

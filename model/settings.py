@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import typing
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-
-class RankerError(ValueError):
-    """Base of every error this package raises on purpose."""
-
-
-class SettingsError(RankerError):
-    """A setting that cannot be; names field, value and bound."""
+from model.errors import SettingsError
 
 
 class Variant(StrEnum):
@@ -24,6 +19,10 @@ class Variant(StrEnum):
     DIRECT = "direct"  # one head for final success, trained on all candidates
     NO_OBJECT_RELATIVE = "no_object_relative"  # the branch's 128 numbers are zero, every width stays
     NO_TARGET_HYPOTHESIS = "no_target_hypothesis"  # the cloud without the virtual target copy, nothing else changes
+
+
+# Far beyond any use; a checkpoint whose sizes were edited must not ask for more memory than there is.
+WIDEST, MOST_LAYERS, MOST_FREQUENCIES = 4096, 8, 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +73,10 @@ class RankerSettings:
     n_cpu_threads: int = 0  # 0 leaves it to torch: on CUDA it decides nothing
 
     def __post_init__(self) -> None:
+        for field, value in asdict(self).items():
+            numbers = value if isinstance(value, tuple) else (value,)
+            if not all(math.isfinite(number) for number in numbers if isinstance(number, float)):
+                raise SettingsError(f"{field}: {value}, must be finite")
         for field in _POSITIVE:
             value = getattr(self, field)
             if not value > 0:
@@ -93,8 +96,12 @@ class RankerSettings:
             if len(getattr(self, field)) != 3:
                 raise SettingsError(f"{field}: {getattr(self, field)}, must have 3 numbers")
         for field in ("widths_1", "widths_2"):
-            if len(getattr(self, field)) < 2 or min(getattr(self, field)) < 1:
-                raise SettingsError(f"{field}: {getattr(self, field)}, must be at least 2 widths of at least 1")
+            widths = getattr(self, field)
+            if not 2 <= len(widths) <= MOST_LAYERS or min(widths) < 1 or max(widths) > WIDEST:
+                raise SettingsError(f"{field}: {widths}, must be 2 to {MOST_LAYERS} widths of 1 to {WIDEST}")
+        for field, most in (("width_global", WIDEST), ("n_type_features", WIDEST), ("n_frequencies", MOST_FREQUENCIES)):
+            if getattr(self, field) > most:
+                raise SettingsError(f"{field}: {getattr(self, field)}, must be at most {most}")
 
 
 _POSITIVE = (
@@ -142,6 +149,12 @@ def variant_named(name: str) -> Variant:
         return Variant(name)
     except ValueError:
         raise SettingsError(f"variant {name!r}, must be one of {[v.value for v in Variant]}") from None
+
+
+def check_seed(seed: int) -> None:
+    """Raise SettingsError on a seed that the `predictions` table, where it is a 32-bit number, cannot hold."""
+    if not isinstance(seed, int) or isinstance(seed, bool) or not -(2**31) <= seed < 2**31:
+        raise SettingsError(f"seed: {seed!r}, must be a whole number in [{-(2**31)}, {2**31 - 1}]")
 
 
 def settings_to_dict(settings: RankerSettings) -> dict[str, Any]:

@@ -6,10 +6,13 @@ A file holds one `[[object]]` table an object. Keys of every category: `id`, `ca
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
+import json
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -116,6 +119,15 @@ def load_catalogue(path: Path = PACKAGED_CATALOGUE) -> tuple[ObjectSpec, ...]:
 def catalogue_order() -> list[tuple[str, str]]:
     """(object id, category) of the packaged catalogue, in file order: what scene allocations are made from."""
     return [(spec.object_id, spec.category.value) for spec in load_catalogue()]
+
+
+def catalogue_hash(specs: Sequence[ObjectSpec]) -> str:
+    """SHA-256 of parsed entries in their order: comments, spacing and the order of keys in the file do not change it.
+
+    A mesh file of the user's enters by its path, not by its content.
+    """
+    content = json.dumps([dataclasses.asdict(spec) for spec in specs], sort_keys=True, default=str)
+    return hashlib.sha256(content.encode()).hexdigest()
 
 
 _COMMON_KEYS = {"id", "category", "name", "source", "mass_kg", "friction", "symmetry", "com_offset_m"}

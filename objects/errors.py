@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from tables.errors import PlaceBenchError
 
-class ObjectError(ValueError):
+
+class ObjectError(PlaceBenchError, ValueError):
     """The base of the family: an object that cannot be built or used; names object, value and bound."""
 
 

@@ -40,12 +40,12 @@ class GraspPoolParams:
     n_surface_samples: int = 1500
     # Most hit the table or the object with the hand; the side of a mug needs this many to find the few that do not.
     n_candidates: int = 24_000
-    # Friction cone of a rubber pad, tan(angle) = 0.4: what a clean pad holds on most surfaces. The recipe sets its own.
-    friction: float = 0.4
+    # Friction cone of a pad, tan(angle): contacts within it. See pipelines/recipe.toml.
+    friction: float = 0.32
     # Pads are flat: a contact far off the normal is no contact of the middle of the pad. 0.1 rad is 3 mm on a 66 mm can.
     jitter_rad: float = 0.1
-    # The pads are 17.5 x 18.5 mm; nearer to an edge than this, less than two thirds of a pad hold.
-    edge_margin_m: float = 0.004
+    # Contacts to the next sharp edge: nearer than 4 mm, less than two thirds of a pad of 17.5 x 18.5 mm hold. See pipelines/recipe.toml.
+    edge_margin_m: float = 0.002
     # Palm contact poisons later labels: the object shifts in the hand, the retreat is blocked.
     palm_clearance_m: float = 0.004
     # The play of the jaw on each side of the widest grasp.
@@ -56,13 +56,13 @@ class GraspPoolParams:
     approach_m: float = 0.10
     # Hand to table: what admission demands, and a millimetre.
     table_clearance_m: float = 0.003
-    # How far along the approach the contacts lie from the middle of the pads (tips are 9.5 mm beyond it).
-    depths_m: tuple[float, ...] = (-0.005, -0.0025, 0.0, 0.0025, 0.005)
+    # How far along the approach the contacts lie from the middle of the pads (tips are 9.5 mm beyond it). See pipelines/recipe.toml.
+    depths_m: tuple[float, ...] = (-0.007, -0.0035, 0.0, 0.0035, 0.007)
     n_approach_turns: int = 24
     # Torque of the weight about the jaw line when the object is lifted off the table. The hand grips harder the heavier the object
-    # (15 N and 50 N a kilogram); in pick-lift trials the pads turn at 5.5 mm times that force on boxes and 6 to 8 mm on handles: this
-    # is 6 mm. On a can they hold along a line and turn at 5 to 5.5 mm: 4.5.
-    max_torque_n_m: float = 0.09
+    # (15 N and 50 N a kilogram); in pick-lift trials the pads turn at 5.5 mm times that force on boxes and 6 to 8 mm on handles: 6 mm
+    # would be 0.09 N m and 0.30 N m a kilogram. On a can they hold along a line and turn at 5 to 5.5 mm: 4.5. See pipelines/recipe.toml.
+    max_torque_n_m: float = 0.25
     max_torque_n_m_per_kg: float = 0.30
     line_contact_share: float = 0.75
     # Pose distance: 20 mm count as much as 30 degrees; a gripper turned half round about its approach is the same grasp here.

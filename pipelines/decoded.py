@@ -1,4 +1,4 @@
-"""The tables of a release as values by id, decoded where they are asked for; whether the release is sound is for splits/ to say."""
+"""The tables of a release as values by id, decoded where they are asked for; see splits/ for whether the release is sound."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An Arrow table as a polars frame with plain strings; which queries are asked of it is the caller's business."""
+"""An Arrow table as a polars frame with plain strings; callers decide what to ask of it."""
 
 from __future__ import annotations
 

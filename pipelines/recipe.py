@@ -1,21 +1,29 @@
-"""The recipe: every stage's parameters, composed from one TOML file; what a parameter means stands beside its default."""
+"""The recipe: the parameters of every stage, composed from one TOML file and checked against each other.
+
+`recipe.toml` holds the knobs of the task distribution and the reason for each. A parameter class gives unit, meaning and bounds, and the
+reason only where the file does not name the parameter. Defaults of the classes are what the file ships: `MotionParams()` anywhere, in
+a test too, is the shipped motion, and `Recipe()` is the recipe of `full` (tested).
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
 import json
+import math
+import operator
 import tomllib
-import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from objects.build import ObjectParams
+from objects.gripper import MAX_JAW_M, OPEN_CLEARANCE_M
+from pipelines.engines.bounds import BoundsError
 from pipelines.engines.physics.hand_params import HandWorldParams
-from pipelines.engines.physics.world import PhysicsParams
+from pipelines.engines.physics.world import GRAVITY_M_S2, PhysicsParams
 from pipelines.engines.planning.trajectory import MotionParams
 from pipelines.grasps.admission import AdmissionParams
 from pipelines.grasps.pick_lift import PickLiftParams
@@ -25,6 +33,7 @@ from pipelines.scenes.points import CameraParams
 from pipelines.scenes.sampling import SceneSamplingParams
 from pipelines.stage import Promise
 from pipelines.values import SceneAllocation
+from tables.errors import PlaceBenchError
 from tables.identity import FAMILIES
 
 DEFAULT_RECIPE = Path(__file__).with_name("recipe.toml")
@@ -32,8 +41,8 @@ DEFAULT_RECIPE = Path(__file__).with_name("recipe.toml")
 _P = TypeVar("_P")
 
 
-class RecipeError(ValueError):
-    """A recipe with an unknown key, a value of the wrong type or out of bounds."""
+class RecipeError(PlaceBenchError, ValueError):
+    """A recipe that cannot be read or used; one line that names the key, its value and what it must be."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +60,15 @@ class Recipe:
     motion: MotionParams = field(default_factory=MotionParams)
     physics: PhysicsParams = field(default_factory=PhysicsParams)  # of resting objects
     hand_physics: HandWorldParams = field(default_factory=HandWorldParams)  # of held ones
+
+    def __post_init__(self) -> None:
+        for left, relation, right in _AGREEMENTS:
+            holds, words = _RELATIONS[relation]
+            if not holds(_at(self, left), _at(self, right)):
+                raise RecipeError(f"{left} = {_at(self, left)}, must {words} {right} = {_at(self, right)}")
+        for key, cause, least in _waits(self):
+            if _at(self, key) < least:
+                raise RecipeError(f"{key} = {_at(self, key)}, must be at least {least:.3g}: {cause}")
 
     @property
     def planning_setup(self) -> PlanningSetup:
@@ -89,20 +107,94 @@ class Recipe:
         return hashlib.sha256(json.dumps(chosen, sort_keys=True, default=str).encode()).hexdigest()
 
 
+# What must hold between sections (what must hold within one, its class checks): key, relation, key.
+_AGREEMENTS = (
+    # The lift that is executed is the one that was admitted, and what is held clears the obstacles.
+    ("pick_lift.lift_m", "==", "grasp_admission.lift_m"),
+    ("pick_lift.lift_m", ">=", "scene_sampling.obstacle_size_m[2]"),
+    # A slip is a slip, whether it happens in the lift or on the way.
+    ("execution.slipped_m", "==", "pick_lift.max_slip_m"),
+    ("execution.slipped_rad", "==", "pick_lift.max_slip_rad"),
+    # A pool has no grasp that admission refuses whatever the scene, and as many as a scene asks for.
+    ("objects.grasp_pool.palm_clearance_m", ">=", "grasp_admission.palm_clearance_m"),
+    ("objects.grasp_pool.table_clearance_m", ">=", "grasp_admission.table_clearance_m"),
+    ("objects.grasp_pool.approach_m", ">=", "grasp_admission.pregrasp_m"),
+    ("objects.grasp_pool.n_grasps", ">=", "scene_sampling.min_initial_grasps"),
+    ("objects.grasp_pool.n_grasps", ">=", "scene_sampling.min_target_grasps"),
+    # A placement within tolerance overlaps no obstacle, and an object left alone at its target ends within tolerance.
+    ("scene_sampling.target_gap_m", ">=", "execution.position_tolerance_m"),
+    ("scene_sampling.max_drift_m", "<=", "execution.position_tolerance_m"),
+    ("scene_sampling.max_drift_rad", "<=", "execution.rotation_tolerance_rad"),
+    # What stands in the workspace stands on the table, and the cameras see it.
+    *(
+        (f"scene_sampling.{radius}[1]", "<=", bound)
+        for radius in ("radius_m", "obstacle_radius_m")
+        for bound in ("camera.max_radius_m", "physics.table_x_m[1]", "physics.table_y_m[1]")
+    ),
+)
+_RELATIONS: dict[str, tuple[Callable[[float, float], bool], str]] = {
+    "==": (operator.eq, "be equal to"),
+    "<=": (operator.le, "be at most"),
+    ">=": (operator.ge, "be at least"),
+}
+
+
+def _waits(recipe: Recipe) -> tuple[tuple[str, str, float], ...]:
+    """Seconds and steps that must be enough for what happens in them: key, what sets the least, the least."""
+    finger_m_s, physics = recipe.physics.finger_speed_m_s, recipe.physics
+    fall_s = math.sqrt(2 * recipe.planning.release_height_m / GRAVITY_M_S2)
+    return (
+        ("pick_lift.max_close_s", f"{MAX_JAW_M / 2:g} m at physics.finger_speed_m_s = {finger_m_s}", MAX_JAW_M / 2 / finger_m_s),
+        ("execution.max_open_s", f"{OPEN_CLEARANCE_M:g} m at physics.finger_speed_m_s = {finger_m_s}", OPEN_CLEARANCE_M / finger_m_s),
+        ("execution.release_wait_s", f"a fall from planning.release_height_m = {recipe.planning.release_height_m}", fall_s),
+        (
+            "execution.max_settle_steps",
+            f"physics.settled_checks = {physics.settled_checks} times physics.check_every_steps = {physics.check_every_steps}",
+            physics.settled_checks * physics.check_every_steps,
+        ),
+    )
+
+
+def _at(recipe: Recipe, key: str) -> float:
+    """The number at a key such as `scene_sampling.radius_m[1]`."""
+    path, _, index = key.removesuffix("]").partition("[")
+    value = operator.attrgetter(path)(recipe)
+    return typing.cast(float, value[int(index)] if index else value)
+
+
 def load_recipe(family: str, path: Path = DEFAULT_RECIPE) -> Recipe:
-    """The recipe of a family: the file's top sections, then what `[<family>.<section>]` overrides.
+    """The recipe of a family: the top sections of the file, then what `[<family>.<section>]` overrides.
+
+    The whole file is checked whichever family is loaded; the top sections are a recipe by themselves.
 
     Raises:
         RecipeError: names the key, its value and what is allowed.
     """
     if family not in FAMILIES:
         raise RecipeError(f"family {family!r}, must be one of {list(FAMILIES)}")
-    content = tomllib.loads(path.read_text(encoding="utf-8"))
+    content = _read(path)
     overrides = {name: content.pop(name, {}) for name in FAMILIES}
+    _build(Recipe, content, "recipe")
+    recipes = {}
     for name, override in overrides.items():
-        if isinstance(override, Mapping) and "objects" in override:
-            raise RecipeError(f"recipe.{name}.objects: {override['objects']!r}, must not be there: objects are shared by all families")
-    return _build(Recipe, _merged(content, overrides[family]), "recipe")
+        if not isinstance(override, Mapping):
+            raise RecipeError(f"recipe.{name}: {override!r}, must be a table")
+        for shared in ("objects", "seed"):
+            if shared in override:
+                raise RecipeError(f"recipe.{name}.{shared}: {override[shared]!r}, must not be there: objects are shared by all families")
+        recipes[name] = _build(Recipe, _merged(content, override), f"recipe.{name}")
+    return recipes[family]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RecipeError(f"recipe {path}: {error.strerror or error}, must be a readable file") from error
+    except UnicodeDecodeError as error:
+        raise RecipeError(f"recipe {path}: byte {error.object[error.start]:#04x} at {error.start}, must be UTF-8") from error
+    except tomllib.TOMLDecodeError as error:
+        raise RecipeError(f"recipe {path}: {error}, must be TOML") from error
 
 
 def _build(cls: type[_P], values: Mapping[str, Any], where: str) -> _P:
@@ -111,38 +203,40 @@ def _build(cls: type[_P], values: Mapping[str, Any], where: str) -> _P:
     unknown = sorted(set(values) - known)
     if unknown:
         raise RecipeError(f"{where}.{unknown[0]}: unknown key, must be one of {sorted(known)}")
-    arguments: dict[str, Any] = {}
-    for name, value in values.items():
-        hint, here = hints[name], f"{where}.{name}"
-        if dataclasses.is_dataclass(hint):
-            if not isinstance(value, Mapping):
-                raise RecipeError(f"{here}: {value!r}, must be a table")
-            arguments[name] = _build(typing.cast(type, hint), value, here)
-        else:
-            arguments[name] = _converted(hint, value, here)
+    arguments = {name: _converted(hints[name], value, f"{where}.{name}") for name, value in values.items()}
     try:
         return cls(**arguments)
-    except (TypeError, ValueError) as error:
+    except BoundsError as error:
+        raise RecipeError(f"{where}.{error}") from error
+    except ValueError as error:
         raise RecipeError(f"{where}: {error}") from error
 
 
 def _converted(hint: Any, value: Any, here: str) -> Any:
-    origin = typing.get_origin(hint)
+    """A value of the file as the type that a field wants."""
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if dataclasses.is_dataclass(hint):
+        return _build(typing.cast(type, hint), _table(value, here), here)
+    if origin is Mapping:
+        return {key: _converted(inner[1], item, f"{here}.{key}") for key, item in _table(value, here).items()}
     if origin is tuple:
-        inner = typing.get_args(hint)
-        if not isinstance(value, list) or (Ellipsis not in inner and len(value) != len(inner)):
-            raise RecipeError(f"{here}: {value!r}, must be a list of {len(inner)}")
-        kinds = [inner[0]] * len(value) if Ellipsis in inner else inner
-        return tuple(_converted(kind, item, here) for kind, item in zip(kinds, value, strict=True))
-    if origin in (dict, typing.get_origin(Mapping[str, float])):
-        kind = typing.get_args(hint)[1]
-        return {key: _converted(kind, item, f"{here}.{key}") for key, item in dict(value).items()}
-    if origin in (typing.Union, types.UnionType):
-        hint = next(kind for kind in typing.get_args(hint) if kind is not type(None))
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        n = None if Ellipsis in inner else len(inner)
+        if not isinstance(value, list) or (n is not None and len(value) != n):
+            raise RecipeError(f"{here}: {value!r}, must be a list" + ("" if n is None else f" of {n}"))
+        kinds = [inner[0]] * len(value) if n is None else inner
+        return tuple(_converted(kind, item, f"{here}[{k}]") for k, (kind, item) in enumerate(zip(kinds, value, strict=True)))
+    if hint is float and type(value) is int and abs(value) < 2**53:
         return float(value)
-    if isinstance(hint, type) and (not isinstance(value, hint) or (hint is int and isinstance(value, bool))):
+    if type(value) is not hint:
         raise RecipeError(f"{here}: {value!r} is {type(value).__name__}, must be {hint.__name__}")
+    if hint is float and not math.isfinite(value):
+        raise RecipeError(f"{here}: {value!r}, must be finite")
+    return value
+
+
+def _table(value: Any, here: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise RecipeError(f"{here}: {value!r}, must be a table")
     return value
 
 

@@ -1,4 +1,4 @@
-"""The command `python -m pipelines.regenerate`; the work is proofs.regenerate's."""
+"""The command `python -m pipelines.regenerate`; see proofs/regenerate.py for what it does."""
 
 from __future__ import annotations
 

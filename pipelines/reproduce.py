@@ -1,4 +1,4 @@
-"""The command `python -m pipelines.reproduce`; the work is proofs.reproduce's."""
+"""The command `python -m pipelines.reproduce`; see proofs/reproduce.py for what it does."""
 
 from __future__ import annotations
 

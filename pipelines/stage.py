@@ -82,7 +82,7 @@ class Promise:
     rotation_tolerance_rad: float
 
 
-# The stage's own tables and its inputs by name; one sentence for every rule that is broken.
+# Tables that the stage makes and reads, by name; one sentence for every rule that is broken.
 Law = Callable[[Mapping[str, pa.Table], Promise], list[str]]
 
 
@@ -101,7 +101,7 @@ class Stage:
         run: makes the rows of one unit, from its argument alone.
         law: what must hold of the tables, before they are published and ever after.
         split: a unit of work is a whole scene, one of its admitted grasps, or one of its lifted grasps.
-        time_share: of a shard's core time, for the first estimate of a progress bar.
+        time_share: of the core time of a shard, for the first estimate of a progress bar.
     """
 
     name: str

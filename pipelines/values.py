@@ -1,4 +1,4 @@
-"""The values that stages hand on: a scene, an admitted grasp, a lifted grasp, a plan; as table rows they are codecs.py's."""
+"""The values that stages hand on: a scene, an admitted grasp, a lifted grasp, a plan; see codecs.py for table rows."""
 
 from __future__ import annotations
 
@@ -10,6 +10,10 @@ from jaxtyping import Float
 
 from tables.identity import IdentityError, candidate_id_of
 from tables.poses import inverse
+
+# The workbench that the arm stands on, top at z = 0, in the base frame.
+TABLE_X_M = (-0.4, 1.1)
+TABLE_Y_M = (-0.9, 0.9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +121,8 @@ class Candidate:
 
     def place_pose(self, release_height_m: float) -> Float[np.ndarray, "4 4"]:
         """T_base_tcp where the hand lets go, with the object as it was measured in the hand after the lift."""
-        return self.release_pose(release_height_m) @ inverse(self.grasp.T_tcp_object)
+        T_base_tcp: Float[np.ndarray, "4 4"] = self.release_pose(release_height_m) @ inverse(self.grasp.T_tcp_object)
+        return T_base_tcp
 
 
 @dataclass(frozen=True, slots=True)

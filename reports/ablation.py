@@ -24,7 +24,7 @@ VARIANTS = {
     "full": "Full hierarchical model",
 }
 
-# The measures of the paper's table, in its order.
+# The columns of Table III of the paper, in its order.
 _MEASURES = ((Task.JOINT, 1), (Task.FIXED, 1), (Task.FIXED, 5))
 
 

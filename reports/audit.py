@@ -1,6 +1,6 @@
 """Report of the audits of the planning labels: how many hold under an independent or finer look, and which do not.
 
-Making the audits is pipelines.proofs.audits'; how labels hold under changes of the physics is reports.repeatability's.
+The audits are made in pipelines/proofs/; how labels hold under changes of the physics is reported by repeatability.py.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the labels cost in core time, stage by stage, beside the paper's planner; measuring it is the pipelines' work."""
+"""What the labels cost in core time, stage by stage, beside the planner of the paper; the times are measured in pipelines/running/."""
 
 from __future__ import annotations
 

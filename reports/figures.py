@@ -1,7 +1,7 @@
 """Figures of the reports as PNG bytes; what is drawn is counted and estimated elsewhere.
 
-Colours are those of Okabe and Ito (Color Universal Design, 2008), told apart by readers with any colour vision; the paper's figure is
-always an open diamond.
+Colours are those of Okabe and Ito (Color Universal Design, 2008), told apart by readers with any colour vision. What the
+paper reports is always an open diamond.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _FAILURES = ("#E69F00", "#CC79A7", "#0072B2", "#56B4E9", "#D55E00", "#F0E442", "
 
 @dataclass(frozen=True, slots=True)
 class LadderBar:
-    """One policy on one task: its estimates by K, and the paper's percentages by K where it has them."""
+    """One policy on one task: its estimates by K, and the percentages that the paper reports by K, where it does."""
 
     label: str
     estimates: Mapping[int, Estimate | None]
@@ -33,7 +33,7 @@ class LadderBar:
 
 
 def ladder_figure(panels: Mapping[str, Sequence[LadderBar]], title: str) -> bytes:
-    """S_K of the policies with intervals, one panel a task, the paper's figures beside them."""
+    """S_K of the policies with intervals, one panel a task, those of the paper beside them."""
     figure = _figure(9.0, 3.4 * len(panels) + 0.5)
     for number, (name, bars) in enumerate(panels.items(), 1):
         axes = figure.add_subplot(len(panels), 1, number)
@@ -96,7 +96,7 @@ def status_figure(counts: Mapping[str, Mapping[str, int]], statuses: Sequence[st
 
 
 def shares_figure(rows: Mapping[str, Estimate | None], title: str, xlabel: str, paper: float | None = None) -> bytes:
-    """One proportion a row with its interval and the number it rests on; the paper's overall percentage as a line."""
+    """One proportion a row with its interval and the number it rests on; the overall percentage of the paper as a line."""
     figure = _figure(7.5, 1.3 + 0.36 * len(rows))
     axes = figure.add_subplot()
     y = np.arange(len(rows))[::-1]
@@ -164,10 +164,10 @@ def funnel_figure(stages: Sequence[tuple[str, int, str]], title: str) -> bytes:
 
 
 def dots_figure(panels: Mapping[str, Mapping[str, tuple[Sequence[float], float | None]]], title: str, xlabel: str) -> bytes:
-    """Single runs as dots and their mean as a bar, one panel a measure, one row a variant, the paper's mean as a diamond.
+    """Single runs as dots and their mean as a bar, one panel a measure, one row a variant, the mean of the paper as a diamond.
 
     Args:
-        panels: by measure and variant, the percentage of every run and the paper's, or None.
+        panels: by measure and variant, the percentage of every run, and the mean that the paper reports, or None.
     """
     n_rows = max(len(rows) for rows in panels.values())
     figure = _figure(3.2 * len(panels) + 1.8, 1.5 + 0.5 * n_rows)

@@ -167,7 +167,12 @@ def _picture_of_grasps(
 
 
 def _gripper_glyph(jaw_m: float, thickness: float = 0.25) -> TriangleMesh:
-    """A slender gripper: finger boxes and a bar for the hand, a share as thick as the real ones so that several can be told apart."""
+    """A slender gripper: finger boxes and a bar for the hand, thinner than the real ones so that several can be told apart.
+
+    Args:
+        jaw_m: distance between the fingers, in metres.
+        thickness: as a share of that of the real gripper.
+    """
     T_tcp_box, size_m = gripper_boxes(jaw_m)
     parts = []
     for k, (T, size) in enumerate(zip(T_tcp_box, size_m, strict=True)):
@@ -177,6 +182,7 @@ def _gripper_glyph(jaw_m: float, thickness: float = 0.25) -> TriangleMesh:
             placed[2, 3] += size[2] / 2 - extents[2] / 2
         parts.append(trimesh.creation.box(extents=extents, transform=placed))
     glyph = trimesh.util.concatenate(parts)
+    assert isinstance(glyph, trimesh.Trimesh)
     return TriangleMesh(np.asarray(glyph.vertices), np.asarray(glyph.faces, dtype=np.int64))
 
 

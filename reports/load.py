@@ -13,9 +13,8 @@ from pipelines.frames import frame_of
 from reports.report import ReportError
 from splits.manifest import MEASUREMENTS
 from splits.release import REQUIRED_TABLES
+from splits.release_reader import Release
 from tables.identity import order_key
-from tables.schemas import ALL_SCHEMAS
-from tables.store import read_table
 
 _OPTIONAL_TABLES = (*MEASUREMENTS, "attempts")
 
@@ -49,15 +48,19 @@ class Task(StrEnum):
 
 
 def load_release(directory: Path, names: Sequence[str] | None = None) -> dict[str, pa.Table]:
-    """Tables of a release folder: those named, or all that a release must hold and the optional ones that are there."""
+    """Tables of a release folder: those named, or all that a release must hold and the optional ones that are there.
+
+    Raises:
+        ReleaseError: a folder that is no release, or without one of the tables.
+    """
+    release = Release.open(directory)
     if names is None:
-        present = [name for name in _OPTIONAL_TABLES if (directory / f"{name}.parquet").exists()]
-        names = [*REQUIRED_TABLES, *present]
-    return {name: read_table(ALL_SCHEMAS[name], directory / f"{name}.parquet") for name in names}
+        names = [*REQUIRED_TABLES, *(name for name in _OPTIONAL_TABLES if name in release.manifest.tables)]
+    return release.tables(*names)
 
 
 def candidate_frame(tables: Mapping[str, pa.Table], seed: int) -> pl.DataFrame:
-    """One row a candidate: labels, split, resting pose of its target, endpoint features, and a random order that is its own.
+    """One row a candidate: labels, split, resting pose of its target, endpoint features, and a random order that follows from its id.
 
     Columns beyond those of `candidates`: `split`, `resting`, `ik_feasible`, `gripper_free`, `success` (planned and executed validly)
     and `hash_order`, which breaks every tie, so that the order of rows never decides anything.

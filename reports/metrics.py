@@ -1,4 +1,4 @@
-"""Numbers of a ranking and how sure they are; what orders the candidates is policies', what is printed the reports'.
+"""Numbers of a ranking and how sure they are. Policies order the candidates (policies.py); each report prints what it needs.
 
 Intervals are 95 %. Candidates and groups of one scene are not independent; every interval but the binomial one takes that into account.
 """
@@ -40,7 +40,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Mean over training seeds and sample standard deviation, which a single seed has not; in percent."""
+    """Mean over training seeds and sample standard deviation, in percent; a single seed has no deviation."""
 
     mean: float
     deviation: float | None = None
@@ -50,7 +50,7 @@ class Spread:
 
 
 def spread_of(percentages: Sequence[float]) -> Spread | None:
-    """Mean and sample standard deviation; None of nothing."""
+    """Mean and sample standard deviation; None without values."""
     if not percentages:
         return None
     return Spread(float(np.mean(percentages)), float(np.std(percentages, ddof=1)) if len(percentages) > 1 else None)
@@ -106,13 +106,13 @@ def expected_random_success(ranks: pl.DataFrame, k: int) -> float | None:
 
 
 def proportion(hits: Bool[np.ndarray, "n"], scene_ids: Sequence[str]) -> Estimate | None:
-    """Share of hits with an interval that knows that units of a scene are alike; None of nothing.
+    """Share of hits, with an interval that takes into account that units of a scene are alike; None without units.
 
-    Wilson's interval with the effective number of units: n over the design effect, which compares the variance between scenes with
-    that of as many independent units, and times (z / t)^2 for the few scenes it was estimated from (Dean and Pagano, J. Surv. Stat.
-    Methodol. 3, 2015). One pseudo-scene, half of it hits, keeps the design effect defined where all scenes agree. On simulated scenes
-    of 1 to 8 units (3, 15, 46, 239 scenes; shares 0.3, 0.8, 0.97; intra-scene correlation 0, 0.2, 0.6) it held the truth in 92 to 100 %
-    of 400 runs each; a percentile bootstrap over scenes in 85 to 100 %, and it has no width where all scenes agree.
+    It is the interval of Wilson with the effective number of units: n over the design effect, which compares the variance between
+    scenes with that of as many independent units, and times (z / t)^2 for the few scenes it was estimated from (Dean and Pagano,
+    J. Surv. Stat. Methodol. 3, 2015). One pseudo-scene, half of it hits, keeps the design effect defined where all scenes agree. On
+    simulated scenes of 1 to 8 units (3, 15, 46, 239 scenes; shares 0.3, 0.8, 0.97; intra-scene correlation 0, 0.2, 0.6) it held the
+    truth in 92 to 100 % of 400 runs each; a percentile bootstrap over scenes in 85 to 100 %, and it has no width where all scenes agree.
     """
     if len(hits) == 0:
         return None
@@ -123,7 +123,7 @@ def proportion(hits: Bool[np.ndarray, "n"], scene_ids: Sequence[str]) -> Estimat
 
 
 def paired_difference(hits_a: Bool[np.ndarray, "n"], hits_b: Bool[np.ndarray, "n"], scene_ids: Sequence[str], seed: int) -> Estimate | None:
-    """Share of hits of a minus that of b on the same units, resampling scenes; None below `MIN_SCENES` scenes."""
+    """Share of hits of a minus that of b on the same units, with an interval from resampled scenes; None below `MIN_SCENES` scenes."""
     difference = np.asarray(hits_a, dtype=np.float64) - np.asarray(hits_b, dtype=np.float64)
     total, n_units = _per_scene(difference, scene_ids)
     if len(n_units) < MIN_SCENES:
@@ -136,7 +136,7 @@ def paired_difference(hits_a: Bool[np.ndarray, "n"], hits_b: Bool[np.ndarray, "n
 
 
 def wilson(value: float, n: float) -> tuple[float, float]:
-    """Wilson's score interval of a proportion of n trials (J. Am. Stat. Assoc. 22, 1927); n may be an effective number."""
+    """Score interval of Wilson of a proportion of n trials (J. Am. Stat. Assoc. 22, 1927); n may be an effective number."""
     z2 = _Z95 * _Z95
     centre = (value + z2 / (2 * n)) / (1 + z2 / n)
     half = _Z95 / (1 + z2 / n) * math.sqrt(value * (1 - value) / n + z2 / (4 * n * n))
@@ -144,7 +144,7 @@ def wilson(value: float, n: float) -> tuple[float, float]:
 
 
 def clopper_pearson(k: int, n: int) -> Estimate | None:
-    """Exact binomial interval of k of n independent trials (Biometrika 26, 1934); None of no trials."""
+    """Exact binomial interval of k of n independent trials (Biometrika 26, 1934); None without trials."""
     if n == 0:
         return None
     interval = stats.binomtest(k, n).proportion_ci(confidence_level=0.95, method="exact")
@@ -210,5 +210,5 @@ def _effective_units(n_hits: Float[np.ndarray, "s"], n_units: Float[np.ndarray, 
     hits, units = np.append(n_hits, mean_units / 2), np.append(n_units, mean_units)
     value, total = hits.sum() / units.sum(), units.sum()
     between_scenes = len(units) / (len(units) - 1) * float(np.sum((hits - value * units) ** 2)) / total**2
-    design_effect = max(1.0, between_scenes * total / (value * (1.0 - value)))
+    design_effect = max(1.0, float(between_scenes * total / (value * (1.0 - value))))
     return n / design_effect * (_Z95 / float(stats.t.ppf(0.975, n_scenes - 1))) ** 2

@@ -1,6 +1,6 @@
-"""The policies that order a group, and what a decision costs them; how good an order is, is metrics' question.
+"""The policies that order a group, and what a decision costs them; how good an order is, is measured in metrics.py.
 
-A policy sees a candidate's columns and sorts by them; what is still tied is tried in the candidate's hash order, never in row order.
+A policy sorts by columns of the candidates; what is still tied is tried in the hash order of the candidates, never in row order.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class DecisionCost:
 def decision_cost(policy: Policy, candidates: pl.DataFrame, timings: pl.DataFrame, task: Task) -> DecisionCost | None:
     """What ordering a group costs; None where a policy computes nothing or was not measured.
 
-    A policy that judges candidates pays for all of a group's, so it must have been timed on every candidate. The ranker is timed by
+    A policy that judges candidates pays for every candidate of a group, so it must have been timed on all of them. The ranker is timed by
     the group (items `<scene_id>` and `<scene_id>-t<target_id>`), on a sample of them if need be.
 
     Args:

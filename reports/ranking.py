@@ -1,4 +1,4 @@
-"""A policy put to the test on some groups: its ranks, S_K and decision time; reports print it."""
+"""A policy put to the test on some groups: its ranks, S_K and decision time; the reports print them."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def rank_groups(frame: pl.DataFrame, policy: Policy, task: Task, timings: pl.Dat
 
 
 def timing_frame(tables: Mapping[str, pa.Table], ranker_timings: pa.Table | None = None) -> pl.DataFrame:
-    """Frame of `timings`, empty without the table; the ranker's own measurement takes the place of what the table says of it."""
+    """Frame of `timings`, empty without the table; what was measured on the ranker itself replaces the rows of its stage."""
     parts: Sequence[pl.DataFrame] = [frame_of(tables["timings"])] if "timings" in tables else []
     if ranker_timings is not None:
         parts = [part.filter(pl.col("stage") != "ranker") for part in parts] + [frame_of(ranker_timings)]
@@ -57,7 +57,7 @@ def timing_frame(tables: Mapping[str, pa.Table], ranker_timings: pa.Table | None
 
 
 def ranker_timing_rows(times: Iterable[DecisionTime]) -> list[dict[str, Any]]:
-    """Rows of `timings` of stage `ranker`, one a timed group: from the scene's points in memory to scores."""
+    """Rows of `timings` of stage `ranker`, one a timed group: from the points of the scene in memory to scores."""
     return [
         {
             "stage": "ranker",

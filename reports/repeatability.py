@@ -1,6 +1,6 @@
 """Report of label repeatability: which candidates are executed again, chosen blindly, and how often the label comes out the same.
 
-Executing them is the pipelines' work; this module chooses before any outcome is read, and compares afterwards.
+They are executed in pipelines/proofs/; this module chooses before any outcome is read, and compares afterwards.
 """
 
 from __future__ import annotations

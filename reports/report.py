@@ -1,4 +1,4 @@
-"""What a report is: Markdown, figures and numbers of one name, published together; what it says is its own module's business."""
+"""What a report is: Markdown, figures and numbers of one name, published together; what it says is decided in the module of each report."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tables.errors import PlaceBenchError
 from tables.store import write_bytes_atomically, write_text_atomically
 
 
-class ReportError(ValueError):
+class ReportError(PlaceBenchError, ValueError):
     """A table that a report cannot be made of; names the table or id, the value and the bound."""
 
 
@@ -36,7 +37,7 @@ class Report:
             raise ReportError(f"{self.name}: figure {unshown[0]} is not in the Markdown")
 
     def write(self, directory: Path) -> Path:
-        """Write `<name>.json`, the PNGs and, last, `<name>.md`; returns the Markdown's path."""
+        """Write `<name>.json`, the PNGs and, last, `<name>.md`; returns the path of the Markdown."""
         for stem, png in sorted(self.figures.items()):
             write_bytes_atomically(directory / f"{stem}.png", png)
         write_text_atomically(directory / f"{self.name}.json", json.dumps(dict(self.metrics), indent=2, sort_keys=True) + "\n")

@@ -1,4 +1,4 @@
-"""Whether the ranker knows that a group holds no success at all; how it orders a group that does is success_at_k's."""
+"""Whether the ranker knows that a group holds no success at all; how well it orders a group that does is reported by success_at_k.py."""
 
 from __future__ import annotations
 

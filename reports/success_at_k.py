@@ -20,7 +20,7 @@ from reports.report import Report
 from reports.solvability import solvability_section
 from splits.markdown import table
 
-# The paper's policy comparison uses one checkpoint that was designated beforehand.
+# The paper compares policies with one checkpoint that was designated beforehand.
 DESIGNATED_SEED = 42
 
 _SPLITS = ("test", "validation", "all")

@@ -1,4 +1,4 @@
-"""The README of a release, rendered from its tables so that no number in it can be stale; writing it is release's business."""
+"""The README of a release, rendered from its tables so that no number in it can be stale; release.py writes it."""
 
 from __future__ import annotations
 
@@ -65,15 +65,16 @@ lifted grasp counts as uncovered."""
 _ABOUT_TABLES = """Poses are seven columns: metres and a unit quaternion xyzw; the prefix names the pose. Everything is in the robot base
 frame (z up, table top at z = 0) unless its meaning says otherwise. `timings` were measured once and are no part of the release hash."""
 
-_CHECKING = """`python -m splits.release verify DIR` recomputes every checksum, checks every schema, and looks for impossible labels and
-for leaks between splits. `manifest.json` was written last: without it a release is not complete."""
+_CHECKING = """`python -m splits.release verify DIR` recomputes every checksum, checks every schema, and looks for impossible labels, for
+leaks between splits and for files that do not belong here. `manifest.json` was written last: without it a release is not complete. It
+lists size and SHA-256 of every other file, and in `manifest_sha256` the SHA-256 of its own other fields."""
 
 
 def render_card(tables: Mapping[str, pa.Table], facts: Mapping[str, str]) -> str:
     """Markdown of the data card.
 
     Args:
-        tables: the release's tables by name.
+        tables: all tables of the release, by name.
         facts: what the tables do not say: `tier`, `version`, `schema_version`, `licence`, `release_hash`, `scenes_of_tier`, provenance.
     """
     frames = {name: frame_of(tables[name]) for name in ("candidates", "splits", "scenes", "targets", "grasps", "objects")}

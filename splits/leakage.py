@@ -1,6 +1,6 @@
 """Whether anything of one split can be known from another: shared groups, shared candidates, scenes that are all but the same.
 
-Which scene goes where is scene_groups'; this module trusts none of it and looks at the tables.
+scene_groups.py assigns scenes to splits; this module does not trust it and looks at the tables.
 """
 
 from __future__ import annotations
@@ -69,12 +69,12 @@ def find_leaks(
 ) -> list[Leak]:
     """Every leak in a release; empty for a sound one.
 
-    Two scenes are near-identical when they hold the same object and the object's pose, all obstacles and all targets agree within
-    the tolerances, each modulo symmetry and in any order. Only pairs across two splits are leaks.
+    Two scenes are near-identical when they hold the same object, and the pose of the object, all obstacles and all targets agree
+    within the tolerances, each modulo symmetry and in any order. Only pairs across two splits are leaks.
 
     Args:
         tables: at least `objects`, `scenes`, `obstacles`, `targets`, `candidates` and `splits`.
-        position_tolerance_m: largest distance, and difference of an obstacle's edge, that counts as the same.
+        position_tolerance_m: largest distance, and difference of two edges of obstacles, that counts as the same.
         rotation_tolerance_rad: largest turn that counts as the same.
     """
     frames = {name: frame_of(tables[name]) for name in ("objects", "scenes", "obstacles", "targets", "splits")}
@@ -186,7 +186,7 @@ def _turn_rad(R_a: Float[np.ndarray, "*n 3 3"], R_b: Float[np.ndarray, "*n 3 3"]
         return np.asarray(np.arctan2(np.linalg.norm(np.cross(z_a, z_b), axis=-1), np.sum(z_a * z_b, axis=-1)))
     half_turns = [(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (-1.0, -1.0, 1.0)]
     kept = half_turns if symmetry is Symmetry.BOX else half_turns[:1]
-    return np.min([rotation_angle_rad(R_a * np.array(signs), R_b) for signs in kept], axis=0)
+    return np.asarray(np.min([rotation_angle_rad(R_a * np.array(signs), R_b) for signs in kept], axis=0))
 
 
 def _is_matching(is_close: Bool[np.ndarray, "m n"]) -> bool:

@@ -1,56 +1,72 @@
-"""The manifest of a release: what it says and how it is read; writing and checking a release is release's."""
+"""The manifest of a release: what it says, how it proves itself, how it is read; release_folder.py checks the files that it lists.
+
+`manifest.json` states the SHA-256 of its own content (see `content_sha256`), so that an edit of any field is found before anything
+that the field says is believed. Checks run in this order: JSON, own hash, versions, keys, types and values, the exact text.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import platform
+import math
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
-from importlib import metadata
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
+
+from splits.errors import ReleaseError, shown
+from splits.fields import check_count, check_equal, check_real, check_sha256, check_texts, check_version
+from tables.identity import IdentityError, shards_of_tier
+from tables.schemas import SCHEMA_VERSION
 
 MANIFEST = "manifest.json"
+CARD = "README.md"
+NAME = "placebench"
+LICENCE = "CC-BY-4.0"
+
+# Version of the data that this code makes: PATCH re-serialised, MINOR rows or columns added, MAJOR rows changed or moved across splits.
+DATA_VERSION = "0.1.0"
 
 # Measured once, different on every machine: shipped and checksummed, but no part of what the release hash identifies.
 MEASUREMENTS = ("timings",)
 
-# Every package whose version may change a label or the bytes of a table.
-_LIBRARIES = (
-    "coacd",
-    "coal",
-    "frankik",
-    "manifold3d",
-    "mujoco",
-    "numpy",
-    "ompl",
-    "pin",
-    "polars",
-    "pyarrow",
-    "pybullet",
-    "ruckig",
-    "scipy",
-    "trimesh",
-)
+_MAX_DIGITS = 18  # of a whole number, so that it fits into 64 bits
+_OWN_HASH = "manifest_sha256"
+_TABLE_NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
-class ReleaseError(RuntimeError):
-    """A release that is incomplete, changed, or wrong; names the file or rule, the value and the bound."""
+@dataclass(frozen=True, slots=True)
+class FileEntry:
+    """One file of a release other than the manifest: its size in bytes and its SHA-256."""
+
+    bytes: int
+    sha256: str
+
+    def __post_init__(self) -> None:
+        check_count("bytes", self.bytes)
+        check_sha256("sha256", self.sha256)
 
 
 @dataclass(frozen=True, slots=True)
 class TableEntry:
-    """One table of a release."""
+    """One table of a release; `content_hash` identifies its values, whatever bytes hold them."""
 
     file: str
     rows: int
-    sha256: str
     content_hash: str
+
+    def __post_init__(self) -> None:
+        check_count("rows", self.rows)
+        check_sha256("content_hash", self.content_hash)
 
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """What a release is: `release_hash` identifies its tables' values and nothing else."""
+    """What a release is; `release_hash` identifies the values of its tables and nothing else.
+
+    `files` lists every file of the folder but the manifest: the data card, the tables and their sidecars.
+    """
 
     name: str
     tier: str
@@ -58,25 +74,64 @@ class Manifest:
     licence: str
     schema_version: str
     release_hash: str
-    card_sha256: str
     position_tolerance_m: float
     rotation_tolerance_rad: float
     tables: dict[str, TableEntry]
+    files: dict[str, FileEntry]
     provenance: dict[str, str]
     libraries: dict[str, str]
 
+    def __post_init__(self) -> None:
+        check_equal("name", self.name, NAME)
+        check_tier(self.tier)
+        check_version("version", self.version)
+        check_version("schema_version", self.schema_version)
+        check_equal("licence", self.licence, LICENCE)
+        check_tolerances(self.position_tolerance_m, self.rotation_tolerance_rad)
+        check_texts("provenance", self.provenance)
+        check_texts("libraries", self.libraries)
+        for name, entry in self.tables.items():
+            if not _TABLE_NAME.fullmatch(name):
+                raise ReleaseError(f"tables: name {shown(name)}, must match {_TABLE_NAME.pattern}")
+            check_equal(f"tables.{name}: file", entry.file, f"{name}.parquet")
+        listed = {CARD, *(file for name in self.tables for file in files_of_table(name))}
+        if listed != self.files.keys():
+            missing, unknown = sorted(listed - self.files.keys()), sorted(self.files.keys() - listed)
+            raise ReleaseError(f"files: missing {shown(missing)}, unknown {shown(unknown)}, must be {CARD}, the tables and their sidecars")
+        check_equal("release_hash", self.release_hash, release_hash_of(self.tables))
+
+    def to_text(self) -> str:
+        """The content of `manifest.json`: sorted keys, two spaces of indentation, its own hash among the fields."""
+        content = asdict(self)
+        return json.dumps({**content, _OWN_HASH: content_sha256(content)}, indent=2, sort_keys=True, allow_nan=False) + "\n"
+
 
 def read_manifest(directory: Path) -> Manifest:
-    """The manifest of a release; raises ReleaseError where there is none or it cannot be read."""
-    path = directory / MANIFEST
-    if not path.exists():
-        raise ReleaseError(f"{path}: missing, so this is no complete release")
+    """The manifest of a release folder, checked by its own hash and field by field; the other files are not looked at.
+
+    Raises:
+        ReleaseError: no folder, no manifest, a manifest that was changed, or one of a version that this code does not know.
+    """
+    text = _text_of(directory)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        content["tables"] = {name: TableEntry(**entry) for name, entry in content["tables"].items()}
-        return Manifest(**content)
-    except (UnicodeDecodeError, json.JSONDecodeError, TypeError, KeyError, AttributeError) as error:
-        raise ReleaseError(f"{path}: cannot be read as a manifest: {error}") from error
+        content = _parsed(text)
+        _check_own_hash(content)
+        check_versions(content.get("schema_version"), content.get("version"))
+        manifest = _manifest_of(content)
+    except ReleaseError as error:
+        raise ReleaseError(f"{MANIFEST}: {error}") from error
+    except RecursionError as error:
+        raise ReleaseError(f"{MANIFEST}: cannot be read as a manifest: nested too deeply") from error
+    if manifest.to_text() != text:
+        raise ReleaseError(f"{MANIFEST}: other white space, order or escapes than were written, must be the same byte for byte")
+    return manifest
+
+
+def content_sha256(content: Mapping[str, Any]) -> str:
+    """SHA-256 of the canonical JSON of a manifest without its own hash: sorted keys, no white space, everything in ASCII."""
+    without = {name: value for name, value in content.items() if name != _OWN_HASH}
+    canonical = json.dumps(without, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 def release_hash_of(entries: Mapping[str, TableEntry]) -> str:
@@ -85,12 +140,116 @@ def release_hash_of(entries: Mapping[str, TableEntry]) -> str:
     return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
-def library_versions() -> dict[str, str]:
-    """Versions of Python and of every package that may change a label or the bytes of a table."""
-    versions = {"python": platform.python_version()}
-    for name in _LIBRARIES:
+def files_of_table(name: str) -> tuple[str, str]:
+    """File names of a table and of its sidecar."""
+    return f"{name}.parquet", f"{name}.parquet.json"
+
+
+def check_tier(tier: object) -> None:
+    """Raise ReleaseError where there is no such tier."""
+    try:
+        if not isinstance(tier, str):
+            raise IdentityError(f"{shown(tier)} is not a text")
+        shards_of_tier(tier)
+    except IdentityError as error:
+        raise ReleaseError(f"tier: {error}") from error
+
+
+def check_tolerances(position_tolerance_m: object, rotation_tolerance_rad: object) -> None:
+    """Raise ReleaseError where labels cannot have been judged by these tolerances."""
+    check_real("position_tolerance_m", position_tolerance_m, 1.0)
+    check_real("rotation_tolerance_rad", rotation_tolerance_rad, math.pi)
+
+
+def check_versions(schema_version: object, version: object) -> None:
+    """Raise ReleaseError where a version is malformed, of a newer major than this code knows, or of another schema than it reads."""
+    for name, found, known in (("schema_version", schema_version, SCHEMA_VERSION), ("version", version, DATA_VERSION)):
+        if check_version(name, found)[0] > check_version(name, known)[0]:
+            raise ReleaseError(f"{name} {found} is of a newer major version than this code knows ({known}): use a newer PlaceBench")
+    if schema_version != SCHEMA_VERSION:
+        raise ReleaseError(f"schema_version {schema_version}, this code reads {SCHEMA_VERSION} only")
+
+
+def _text_of(directory: Path) -> str:
+    path = directory / MANIFEST
+    try:
+        if not directory.exists():
+            raise ReleaseError(f"{directory}: no such folder")
+        if not directory.is_dir():
+            raise ReleaseError(f"{directory}: not a folder")
+        if not path.exists():
+            raise ReleaseError(f"{path}: missing, so this is no complete release")
+        return path.read_bytes().decode("utf-8")
+    except OSError as error:
+        raise ReleaseError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ReleaseError(f"{path}: not UTF-8: byte {error.start} is 0x{error.object[error.start]:02x}") from error
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    try:
+        content = json.loads(text, object_pairs_hook=_without_repeats, parse_float=_finite, parse_constant=_finite, parse_int=_whole)
+    except ValueError as error:
+        raise ReleaseError(f"cannot be read as a manifest: {error}") from error
+    if not isinstance(content, dict):
+        raise ReleaseError(f"cannot be read as a manifest: it is {shown(content)}, must be an object")
+    return content
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"key {shown(next(name for name in names if names.count(name) > 1))} is repeated")
+    return content
+
+
+def _finite(text: str) -> float:
+    """A JSON number; Python would also take `NaN` and `Infinity`, which no other reader knows, and `1e999` as infinity."""
+    if not math.isfinite(float(text)):
+        raise ValueError(f"number {shown(text)}, must be finite")
+    return float(text)
+
+
+def _whole(text: str) -> int:
+    if len(text) > _MAX_DIGITS:
+        raise ValueError(f"number of {len(text)} digits, must have at most {_MAX_DIGITS}")
+    return int(text)
+
+
+def _check_own_hash(content: Mapping[str, Any]) -> None:
+    if _OWN_HASH not in content:
+        raise ReleaseError(f"{_OWN_HASH} is missing, must be the SHA-256 of all other fields")
+    found = content_sha256(content)
+    check_sha256(_OWN_HASH, content[_OWN_HASH])
+    if content[_OWN_HASH] != found:
+        raise ReleaseError(f"its fields have SHA-256 {found[:12]}, {_OWN_HASH} says {content[_OWN_HASH][:12]}, must be the same")
+
+
+def _manifest_of(content: Mapping[str, Any]) -> Manifest:
+    """The manifest of a JSON object that has exactly its fields, types and values."""
+    values = {name: value for name, value in content.items() if name != _OWN_HASH}
+    _check_keys("fields", values, Manifest)
+    return Manifest(**{**values, "tables": _entries("tables", values, TableEntry), "files": _entries("files", values, FileEntry)})
+
+
+def _entries(name: str, values: Mapping[str, Any], entry_type: type[TableEntry] | type[FileEntry]) -> dict[str, Any]:
+    if not isinstance(values[name], dict):
+        raise ReleaseError(f"{name} {shown(values[name])}, must be an object of entries by name")
+    entries = {}
+    for key, entry in values[name].items():
+        _check_keys(f"{name}.{key}", entry, entry_type)
         try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            versions[name] = "not installed"
-    return versions
+            entries[key] = entry_type(**entry)
+        except ReleaseError as error:
+            raise ReleaseError(f"{name}.{key}: {error}") from error
+    return entries
+
+
+def _check_keys(where: str, content: object, of: type[Any]) -> None:
+    names = {field.name for field in fields(of)}
+    if not isinstance(content, dict):
+        raise ReleaseError(f"{where} {shown(content)}, must be an object with {sorted(names)}")
+    missing, unknown = sorted(names - content.keys()), sorted(content.keys() - names)
+    if missing or unknown:
+        raise ReleaseError(f"{where}: missing {missing}, unknown {shown(unknown)}, must both be empty")

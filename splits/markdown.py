@@ -1,4 +1,4 @@
-"""Markdown tables and numbers as people read them; what they say is the data card's and the reports' business."""
+"""Markdown tables and numbers as people read them, for the data card and the reports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A release: tables, data card and manifest in one folder, written so that half a release never looks whole, and the check of it.
+"""A release: tables, data card and manifest in one folder, written so that half a release never looks whole, and how it is verified.
 
 python -m splits.release verify DIR
 """
@@ -6,25 +6,38 @@ python -m splits.release verify DIR
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 import pyarrow as pa
 
 from splits.data_card import render_card
+from splits.errors import ReleaseError
 from splits.leakage import find_leaks
-from splits.manifest import MANIFEST, Manifest, ReleaseError, TableEntry, library_versions, read_manifest, release_hash_of
+from splits.manifest import (
+    CARD,
+    LICENCE,
+    MANIFEST,
+    NAME,
+    FileEntry,
+    Manifest,
+    TableEntry,
+    check_tier,
+    check_tolerances,
+    check_versions,
+    files_of_table,
+    read_manifest,
+    release_hash_of,
+)
+from splits.pose_errors import find_pose_errors
+from splits.provenance import LIBRARIES, check_provenance
+from splits.release_folder import check_files, check_nothing_else, clear_folder, read_released_table
 from splits.release_laws import broken_laws
-from tables.columns import SchemaError
 from tables.identity import scenes_of_shard, shards_of_tier
 from tables.schemas import ALL_SCHEMAS, SCHEMA_VERSION
-from tables.store import StoreError, content_hash, file_sha256, read_table, sidecar_path, write_table, write_text_atomically
-
-LICENCE = "CC-BY-4.0"
-CARD = "README.md"
+from tables.store import file_sha256, write_table, write_text_atomically
+from tables.versions import library_versions
 
 REQUIRED_TABLES = (
     "objects",
@@ -58,26 +71,28 @@ def write_release(
         tables: by name, at least `REQUIRED_TABLES`.
         directory: the release folder; made if missing.
         tier: `mini`, `pilot` or `full`.
-        version: version of the data, `major.minor.patch`.
-        provenance: what made it, at least `recipe_hash`.
+        version: version of the data, `major.minor.patch`, of no newer major than `DATA_VERSION`.
+        provenance: what made it, at least `recipe_hash`, `catalogue_hash` and `git_commit` (see provenance).
         position_tolerance_m: tolerance the labels were judged by.
         rotation_tolerance_rad: tolerance the labels were judged by.
 
     Raises:
-        ReleaseError: a table missing or unknown, a scene of another tier, no recipe hash, an impossible label, a leak.
+        ReleaseError: a table missing or unknown, a scene of another tier, a malformed version, tolerance or provenance, an
+            impossible pose or label, a leak, or a folder that holds something else.
         SchemaError: a table that is not what its schema says.
     """
+    check_versions(SCHEMA_VERSION, version)
+    check_tolerances(position_tolerance_m, rotation_tolerance_rad)
     _check_contents(tables, tier, provenance)
-    _check_labels_and_leaks(tables, position_tolerance_m, rotation_tolerance_rad)
+    _check_values(tables, position_tolerance_m, rotation_tolerance_rad)
+    if directory.exists() and not directory.is_dir():
+        raise ReleaseError(f"{directory}: not a folder")
     directory.mkdir(parents=True, exist_ok=True)
-    (directory / MANIFEST).unlink(missing_ok=True)
-    for stale in sorted(directory.glob("*.parquet")):
-        if stale.stem not in tables:
-            sidecar_path(stale).unlink(missing_ok=True)
-            stale.unlink()
-    entries = {name: _write(name, tables[name], directory, provenance) for name in sorted(tables)}
+    clear_folder(directory, tables.keys())
+    entries = {name: _write(name, tables[name], directory, tier, provenance) for name in sorted(tables)}
     release_hash = release_hash_of(entries)
     facts = {
+        **provenance,
         "tier": tier,
         "version": version,
         "licence": LICENCE,
@@ -86,24 +101,24 @@ def write_release(
         "position_tolerance_m": f"{position_tolerance_m:g}",
         "rotation_tolerance_rad": f"{rotation_tolerance_rad:.4g}",
         "scenes_of_tier": str(sum(len(scenes_of_shard(shard)) for shard in shards_of_tier(tier))),
-        **provenance,
     }
     write_text_atomically(directory / CARD, render_card(tables, facts))
+    files = [CARD, *(file for name in entries for file in files_of_table(name))]
     manifest = Manifest(
-        name="placebench",
+        name=NAME,
         tier=tier,
         version=version,
         licence=LICENCE,
         schema_version=SCHEMA_VERSION,
         release_hash=release_hash,
-        card_sha256=file_sha256(directory / CARD),
         position_tolerance_m=position_tolerance_m,
         rotation_tolerance_rad=rotation_tolerance_rad,
         tables=entries,
+        files={file: FileEntry((directory / file).stat().st_size, file_sha256(directory / file)) for file in files},
         provenance=dict(provenance),
-        libraries=library_versions(),
+        libraries=library_versions(LIBRARIES),
     )
-    write_text_atomically(directory / MANIFEST, json.dumps(asdict(manifest), indent=2, sort_keys=True) + "\n")
+    write_text_atomically(directory / MANIFEST, manifest.to_text())
     return manifest
 
 
@@ -114,21 +129,14 @@ def verify_release(directory: Path) -> Manifest:
         ReleaseError: names the first file or rule that fails, what was found and what it must be.
     """
     manifest = read_manifest(directory)
-    if manifest.schema_version != SCHEMA_VERSION:
-        raise ReleaseError(f"{MANIFEST}: schema version {manifest.schema_version}, this code reads {SCHEMA_VERSION}")
     missing = [name for name in REQUIRED_TABLES if name not in manifest.tables]
     if missing:
         raise ReleaseError(f"{MANIFEST}: table {missing[0]!r} is not listed, must be one of {sorted(manifest.tables)}")
-    listed = {entry.file for entry in manifest.tables.values()}
-    unlisted = sorted(path.name for path in directory.glob("*.parquet") if path.name not in listed)
-    if unlisted:
-        raise ReleaseError(f"{unlisted[0]}: not in the manifest of {len(listed)} tables")
-    if release_hash_of(manifest.tables) != manifest.release_hash:
-        raise ReleaseError(f"{MANIFEST}: release hash {manifest.release_hash[:12]}, tables give {release_hash_of(manifest.tables)[:12]}")
-    _check_sha256(directory / CARD, manifest.card_sha256)
-    tables = {name: _read(name, entry, directory) for name, entry in sorted(manifest.tables.items())}
+    check_nothing_else(directory, manifest)
+    check_files(directory, manifest, hashes=True)
+    tables = {name: read_released_table(directory, manifest, name, verify=True) for name in sorted(manifest.tables)}
     _check_contents(tables, manifest.tier, manifest.provenance)
-    _check_labels_and_leaks(tables, manifest.position_tolerance_m, manifest.rotation_tolerance_rad)
+    _check_values(tables, manifest.position_tolerance_m, manifest.rotation_tolerance_rad)
     return manifest
 
 
@@ -146,15 +154,23 @@ def _check_contents(tables: Mapping[str, pa.Table], tier: str, provenance: Mappi
     unknown = sorted(set(tables) - set(ALL_SCHEMAS))
     if missing or unknown:
         raise ReleaseError(f"tables: missing {missing}, unknown {unknown}, must both be empty")
-    if not provenance.get("recipe_hash"):
-        raise ReleaseError(f"provenance: recipe_hash is missing, given {sorted(provenance)}")
+    check_provenance(provenance)
+    check_tier(tier)
     of_tier = {scene_id for shard in shards_of_tier(tier) for scene_id in scenes_of_shard(shard)}
     strangers = sorted(set(tables["scenes"]["scene_id"].to_pylist()) - of_tier)
     if strangers:
         raise ReleaseError(f"scenes: {strangers[0]} is not in tier {tier} ({len(strangers)} scenes are not, must be 0)")
+    objects = set(tables["objects"]["object_id"].to_pylist())
+    for name in ("scenes", "grasp_pool"):
+        unknown_objects = sorted(set(tables[name]["object_id"].to_pylist()) - objects)
+        if unknown_objects:
+            raise ReleaseError(f"{name}: object {unknown_objects[0]} is not in objects ({len(unknown_objects)} are not, must be 0)")
 
 
-def _check_labels_and_leaks(tables: Mapping[str, pa.Table], position_tolerance_m: float, rotation_tolerance_rad: float) -> None:
+def _check_values(tables: Mapping[str, pa.Table], position_tolerance_m: float, rotation_tolerance_rad: float) -> None:
+    wrong_poses = find_pose_errors(tables)
+    if wrong_poses:
+        raise ReleaseError(f"poses: {len(wrong_poses)} columns wrong, must be 0; first {wrong_poses[0]}")
     errors = broken_laws(tables, position_tolerance_m=position_tolerance_m, rotation_tolerance_rad=rotation_tolerance_rad)
     if errors:
         raise ReleaseError(f"laws: {len(errors)} broken, must be 0; first {errors[0]}")
@@ -163,33 +179,10 @@ def _check_labels_and_leaks(tables: Mapping[str, pa.Table], position_tolerance_m
         raise ReleaseError(f"leakage: {len(leaks)} leaks, must be 0; first {leaks[0]}")
 
 
-def _write(name: str, table: pa.Table, directory: Path, provenance: Mapping[str, str]) -> TableEntry:
-    sidecar = write_table(ALL_SCHEMAS[name], table, directory / f"{name}.parquet", provenance)
-    return TableEntry(f"{name}.parquet", sidecar.rows, sidecar.sha256, sidecar.content_hash)
-
-
-def _read(name: str, entry: TableEntry, directory: Path) -> pa.Table:
-    path = directory / entry.file
-    if name not in ALL_SCHEMAS:
-        raise ReleaseError(f"{MANIFEST}: table {name!r} is unknown")
-    _check_sha256(path, entry.sha256)
-    try:
-        table = read_table(ALL_SCHEMAS[name], path, verify=True)
-    except (StoreError, SchemaError, pa.ArrowInvalid, OSError) as error:
-        raise ReleaseError(f"{path.name}: {error}") from error
-    if table.num_rows != entry.rows:
-        raise ReleaseError(f"{path.name}: {table.num_rows} rows, manifest says {entry.rows}")
-    if content_hash(table) != entry.content_hash:
-        raise ReleaseError(f"{path.name}: content hash {content_hash(table)[:12]}, manifest says {entry.content_hash[:12]}")
-    return table
-
-
-def _check_sha256(path: Path, expected: str) -> None:
-    if not path.exists():
-        raise ReleaseError(f"{path.name}: missing")
-    found = file_sha256(path)
-    if found != expected:
-        raise ReleaseError(f"{path.name}: SHA-256 {found[:12]}, manifest says {expected[:12]}")
+def _write(name: str, table: pa.Table, directory: Path, tier: str, provenance: Mapping[str, str]) -> TableEntry:
+    file, _ = files_of_table(name)
+    sidecar = write_table(ALL_SCHEMAS[name], table, directory / file, provenance, of=tier)
+    return TableEntry(file, sidecar.rows, sidecar.content_hash)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -210,17 +203,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     return 0
 
-
-__all__ = [
-    "Manifest",
-    "ReleaseError",
-    "TableEntry",
-    "find_leaks",
-    "main",
-    "read_manifest",
-    "verify_release",
-    "write_release",
-]
 
 if __name__ == "__main__":
     raise SystemExit(main())

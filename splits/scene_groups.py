@@ -1,4 +1,4 @@
-"""Which split a scene group belongs to, decided by the scene's identity alone; whether anything leaked is leakage's question."""
+"""Which split a scene group belongs to, decided by the id of the scene alone; leakage.py checks whether anything leaked."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any
 
+from tables.errors import PlaceBenchError
 from tables.identity import IdentityError, order_key, parse_scene_id, shard_of_scene, shards_of_tier
 from tables.vocabulary import Split
 
@@ -20,7 +21,7 @@ _SPLITS = (Split.TRAIN, Split.VALIDATION, Split.TEST)
 _PILOT_SHARDS = frozenset(shards_of_tier("pilot"))
 
 
-class SplitError(ValueError):
+class SplitError(PlaceBenchError, ValueError):
     """A universe or a parameter that cannot be split; names the scene or field, its value and the bound."""
 
 
@@ -28,7 +29,7 @@ class SplitError(ValueError):
 class SplitParams:
     """Shares of the scene groups."""
 
-    # The reference dataset's candidates: 153,072 / 48,200 / 48,376 of 249,648.
+    # Candidates of the dataset of the paper: 153,072 / 48,200 / 48,376 of 249,648.
     train_share: float = 153_072 / 249_648
     validation_share: float = 48_200 / 249_648
     # Twelve scenes would otherwise leave a category out of a split, and its report without a row.
@@ -58,8 +59,8 @@ class SplitParams:
 def split_rows(scene_ids: Sequence[str], universe: Sequence[UniverseScene], params: SplitParams, seed: int) -> list[dict[str, Any]]:
     """Rows of `splits` for some scenes of a family.
 
-    The whole family is split, built or not, so that a scene of `pilot` keeps its split in `full`. Within each block (the pilot's
-    scenes or the others, one category) scenes are dealt in the order of their hash, each to the split that is furthest behind its
+    The whole family is split, built or not, so that a scene of `pilot` keeps its split in `full`. Within each block (the scenes of
+    the pilot or the others, one category) scenes are dealt in the order of their hash, each to the split that is furthest behind its
     share of family and block; the totals of pilot and rest are met exactly. Then scenes of a block that differ in their obstacle
     count change places until no exchange brings the obstacle counts of the splits nearer to their shares.
 
@@ -70,7 +71,7 @@ def split_rows(scene_ids: Sequence[str], universe: Sequence[UniverseScene], para
         seed: the recipe seed.
 
     Raises:
-        SplitError: a wanted scene that the universe lacks, a scene listed twice, an id that is none, or two families at once.
+        SplitError: a wanted scene that the universe lacks, a scene listed twice, a malformed id, or two families at once.
     """
     universe = _checked(universe)
     split_of = _split_universe(universe, params, seed)
@@ -109,12 +110,12 @@ def _split_universe(universe: Sequence[UniverseScene], params: SplitParams, seed
 
 
 def _dealt(blocks: Sequence[Sequence[UniverseScene]], room: dict[Split, int], params: SplitParams) -> dict[str, Split]:
-    """Deal each block's scenes in order; a split has room for so many, but the minimum of a category outranks that."""
+    """Deal the scenes of each block in order; a split has room for so many, but the minimum of a category outranks that."""
     split_of: dict[str, Split] = {}
     n_family: Counter[Split] = Counter()
     for block in blocks:
         n_block: Counter[Split] = Counter()
-        # Too small a category cannot go round and leave train the most.
+        # A category with fewer scenes cannot give every split its minimum and still leave most of them to train.
         minimum = params.min_scenes_per_category if len(block) > len(_SPLITS) * params.min_scenes_per_category else 0
         for n_dealt, (scene_id, _, _) in enumerate(block):
             owed = {split: max(0, minimum - n_block[split]) for split in _SPLITS}

@@ -7,10 +7,11 @@ from enum import StrEnum
 
 import pyarrow as pa
 
+from tables.errors import PlaceBenchError
 from tables.poses import pose_columns
 
 
-class SchemaError(ValueError):
+class SchemaError(PlaceBenchError, ValueError):
     """A table that is not what its schema says; names table, column, value and bound."""
 
 

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tables.errors import PlaceBenchError
+
 # Families of scenes, and how much of the benchmark there is: `pilot` is the beginning of the family `full`.
 FAMILIES = ("mini", "full")
 TIERS = ("mini", "pilot", "full")
@@ -24,7 +26,7 @@ _SCENE = re.compile(r"(mini|full)-(\d{4})")
 _CANDIDATE = re.compile(r"((?:mini|full)-\d{4})-t(\d)-g(\d\d)")
 
 
-class IdentityError(ValueError):
+class IdentityError(PlaceBenchError, ValueError):
     """An id that no scene, candidate or shard can have."""
 
 

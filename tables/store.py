@@ -1,16 +1,9 @@
-"""Parquet on disk: schema enforced on the way in and verified on the way out, published atomically with a sidecar.
-
-A table `x.parquet` is real when its sidecar `x.parquet.json` exists and names its SHA-256; the sidecar is written last.
-"""
+"""Parquet on disk: schema enforced on the way in and verified on the way out, published atomically with a sidecar (see sidecar.py)."""
 
 from __future__ import annotations
 
 import hashlib
-import json
-import os
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,25 +13,41 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from tables.columns import Column, SchemaError, TableSchema
+from tables.files import file_sha256, published_file, remove, write_bytes_atomically, write_text_atomically
 from tables.schemas import SCHEMA_VERSION
+from tables.sidecar import (
+    Missing,
+    Sidecar,
+    StoreError,
+    check_belongs,
+    check_sha256,
+    find_published,
+    read_sidecar,
+    sidecar_path,
+    write_sidecar,
+)
+
+__all__ = [
+    "Missing",
+    "Sidecar",
+    "StoreError",
+    "check_table",
+    "content_hash",
+    "file_sha256",
+    "find_published",
+    "join_tables",
+    "read_sidecar",
+    "read_table",
+    "read_tables",
+    "sidecar_path",
+    "table_from_columns",
+    "table_from_rows",
+    "write_bytes_atomically",
+    "write_table",
+    "write_text_atomically",
+]
 
 ROW_GROUP_ROWS = 16_384
-
-
-class StoreError(RuntimeError):
-    """A file that is missing, changed or not what its sidecar says."""
-
-
-@dataclass(frozen=True, slots=True)
-class Sidecar:
-    """What is known about one table file: identity of its content and of what made it."""
-
-    table: str
-    rows: int
-    sha256: str
-    content_hash: str
-    schema_version: str
-    made_from: dict[str, str] = field(default_factory=dict)
 
 
 def table_from_rows(schema: TableSchema, rows: Iterable[Mapping[str, Any]]) -> pa.Table:
@@ -81,10 +90,7 @@ def check_table(schema: TableSchema, table: pa.Table) -> None:
             strange = sorted(set(_decoded(values).unique().to_pylist()) - {*column.values, None})
             if strange:
                 raise SchemaError(f"{schema.name}.{column.name}: {strange[0]!r}, must be one of {list(column.values)}")
-        if pa.types.is_floating(column.dtype) and len(values):
-            n_bad = len(values) - values.null_count - (pc.sum(pc.is_finite(values)).as_py() or 0)
-            if n_bad:
-                raise SchemaError(f"{schema.name}.{column.name}: {n_bad} values that are not finite, must be 0")
+        _check_numbers(f"{schema.name}.{column.name}", values)
     keys = pa.table({name: _decoded(table[name]) for name in schema.key})
     n_distinct = keys.group_by(list(schema.key)).aggregate([]).num_rows
     if n_distinct != table.num_rows:
@@ -111,47 +117,50 @@ def content_hash(table: pa.Table) -> str:
     return digest.hexdigest()
 
 
-def write_table(schema: TableSchema, table: pa.Table, path: Path, made_from: Mapping[str, str] | None = None) -> Sidecar:
-    """Check a table, publish it atomically at `path`, then publish its sidecar.
+def write_table(schema: TableSchema, table: pa.Table, path: Path, made_from: Mapping[str, str] | None = None, *, of: str = "") -> Sidecar:
+    """Check a table, publish it atomically at `path`, then publish its sidecar; what lay there before is replaced.
 
     Args:
         made_from: hashes that identify the inputs (recipe, code version, upstream tables).
+        of: whose table it is, for example a shard or a tier; "" where there is only one.
+
+    Raises:
+        SchemaError: a table that is not what its schema says; what lay at `path` before stays.
     """
     check_table(schema, table)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    sidecar_path(path).unlink(missing_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as handle:
+    remove(sidecar_path(path))
+    with published_file(path) as handle:
         pq.write_table(table, handle, compression="zstd", row_group_size=ROW_GROUP_ROWS, write_page_index=True, store_schema=True)
-        handle.flush()
-        os.fsync(handle.fileno())
-    os.chmod(handle.name, 0o644)
-    os.replace(handle.name, path)
-    sidecar = Sidecar(schema.name, table.num_rows, file_sha256(path), content_hash(table), SCHEMA_VERSION, dict(made_from or {}))
-    write_text_atomically(sidecar_path(path), json.dumps(asdict(sidecar), indent=2, sort_keys=True) + "\n")
+    sidecar = Sidecar(schema.name, table.num_rows, file_sha256(path), content_hash(table), SCHEMA_VERSION, of, dict(made_from or {}))
+    write_sidecar(path, sidecar)
     return sidecar
 
 
-def read_table(schema: TableSchema, path: Path, *, verify: bool = False) -> pa.Table:
-    """Read a published table; with `verify`, also compare the SHA-256 and check every value.
+def read_table(schema: TableSchema, path: Path, *, of: str | None = None, verify: bool = False) -> pa.Table:
+    """Read a published table.
+
+    Args:
+        of: whose table it has to be; None accepts every owner's.
+        verify: also compare the SHA-256 and check every value.
 
     Raises:
-        StoreError: file or sidecar missing, or the hash differs.
-        SchemaError: with `verify`, a value that the schema does not allow.
+        StoreError: file or sidecar missing or damaged, another table's or another owner's, a changed file, or with `verify` a value
+            that the schema does not allow.
     """
     sidecar = read_sidecar(path)
-    if sidecar.table != schema.name:
-        raise StoreError(f"{path}: holds table {sidecar.table!r}, expected {schema.name!r}")
-    if verify and file_sha256(path) != sidecar.sha256:
-        raise StoreError(f"{path}: SHA-256 {file_sha256(path)[:12]}, sidecar says {sidecar.sha256[:12]}")
-    table = pq.read_table(path, schema=schema.arrow)
-    if verify:
-        check_table(schema, table)
-    return table
+    try:
+        check_belongs(sidecar, schema, of)
+        if verify:
+            check_sha256(sidecar, path)
+        return _read_parquet(schema, path, sidecar, verify)
+    except (StoreError, SchemaError) as error:
+        raise StoreError(f"{path}: {error}") from error
 
 
-def read_tables(schema: TableSchema, paths: Sequence[Path]) -> pa.Table:
-    """Concatenate an explicit list of tables in key order; every one must exist."""
-    return join_tables(schema, [read_table(schema, path) for path in paths])
+def read_tables(schema: TableSchema, paths: Sequence[Path], *, of: Sequence[str] | None = None) -> pa.Table:
+    """Concatenate an explicit list of tables in key order; every one must exist, and belong to its owner in `of` where that is given."""
+    owners = [None] * len(paths) if of is None else of
+    return join_tables(schema, [read_table(schema, path, of=owner) for path, owner in zip(paths, owners, strict=True)])
 
 
 def join_tables(schema: TableSchema, tables: Sequence[pa.Table]) -> pa.Table:
@@ -160,36 +169,48 @@ def join_tables(schema: TableSchema, tables: Sequence[pa.Table]) -> pa.Table:
     return table_from_columns(schema, {name: joined[name] for name in schema.names})
 
 
-def read_sidecar(path: Path) -> Sidecar:
-    """Sidecar of a table; raises StoreError where table or sidecar is missing."""
-    if not path.exists() or not sidecar_path(path).exists():
-        raise StoreError(f"{path}: not published (table or sidecar missing)")
-    return Sidecar(**json.loads(sidecar_path(path).read_text()))
+def _read_parquet(schema: TableSchema, path: Path, sidecar: Sidecar, verify: bool) -> pa.Table:
+    """The table in a Parquet file, held against schema and sidecar; raises StoreError or SchemaError without the path."""
+    try:
+        # The reader fills a column that is not there with nulls and leaves out one that is unknown, so the file's own schema comes first.
+        found = pq.read_schema(path)
+        if not found.equals(schema.arrow):
+            raise StoreError(f"holds {_schema_difference(found, schema.arrow)}")
+        table = pq.read_table(path, schema=schema.arrow)
+        if table.num_rows != sidecar.rows:
+            raise StoreError(f"has {table.num_rows} rows, sidecar says {sidecar.rows}")
+        if verify:
+            check_table(schema, table)
+    except (pa.ArrowException, OSError) as error:
+        raise StoreError(f"cannot be read as Parquet: {' '.join(str(error).split())}") from error
+    return table
 
 
-def sidecar_path(path: Path) -> Path:
-    return path.with_name(path.name + ".json")
+def _schema_difference(found: pa.Schema, expected: pa.Schema) -> str:
+    """The first difference of two schemas in one line."""
+    if found.names != expected.names:
+        return f"columns {found.names}, expected {expected.names}"
+    for column, wanted in zip(found, expected, strict=True):
+        if not column.equals(wanted):
+            return f"column {column}, expected {wanted}"
+    return "another schema"
 
 
-def write_text_atomically(path: Path, content: str) -> None:
-    """Publish a text file: temporary file, fsync, rename."""
-    write_bytes_atomically(path, content.encode("utf-8"))
+def _check_numbers(name: str, values: pa.Array | pa.ChunkedArray, where: str = "") -> None:
+    """Raise SchemaError where a number is not finite, or where a list holds a null: a list is a null itself, or whole."""
+    if _is_list(values.type):
+        inside = pc.list_flatten(values)  # of a slice the slice's own, and nothing of what lies under a null
+        if inside.null_count:
+            raise SchemaError(f"{name}: {inside.null_count} nulls inside lists, must be 0")
+        _check_numbers(name, inside, " inside lists")
+    elif pa.types.is_floating(values.type) and len(values):
+        n_bad = len(values) - values.null_count - (pc.sum(pc.is_finite(values)).as_py() or 0)
+        if n_bad:
+            raise SchemaError(f"{name}: {n_bad} values{where} that are not finite, must be 0")
 
 
-def write_bytes_atomically(path: Path, content: bytes) -> None:
-    """Publish a file: temporary file, fsync, rename."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as handle:
-        handle.write(content)
-        handle.flush()
-        os.fsync(handle.fileno())
-    os.chmod(handle.name, 0o644)
-    os.replace(handle.name, path)
-
-
-def file_sha256(path: Path) -> str:
-    with path.open("rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()
+def _is_list(dtype: pa.DataType) -> bool:
+    return bool(pa.types.is_list(dtype) or pa.types.is_large_list(dtype) or pa.types.is_fixed_size_list(dtype))
 
 
 def _decoded(values: pa.ChunkedArray) -> pa.Array:

@@ -1,4 +1,4 @@
-"""Small scenes and objects for tests, built by hand; the real ones are pipelines.scenes.sampling's and objects.build's."""
+"""Small scenes and objects for tests, built by hand; pipelines/scenes/sampling.py and objects/build.py make the real ones."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from objects.object_model import ObjectModel, PoolGrasp, StablePose, TriangleMesh
 from pipelines.engines.robot.arm import fk, follow_line
+from pipelines.grasps.admission import AdmissionParams
 from pipelines.stage import Law, Stage, Unit, UnitResult
 from pipelines.values import AdmittedGrasp, LiftedGrasp, Obstacle, Scene, Target
 from tables.poses import inverse
@@ -85,12 +86,12 @@ def panda_scene(
     )
 
 
-def ideally_lifted(object_model: ObjectModel, scene: Scene, admitted: AdmittedGrasp, lift_m: float = 0.12) -> LiftedGrasp:
+def ideally_lifted(object_model: ObjectModel, admitted: AdmittedGrasp) -> LiftedGrasp:
     """The state after a lift in which nothing slipped."""
-    pool = object_model.grasp(admitted.grasp_id)
+    pool, params = object_model.grasp(admitted.grasp_id), AdmissionParams()
     T_end = admitted.T_base_grasp.copy()
-    T_end[2, 3] += lift_m
-    line = follow_line(admitted.T_base_grasp, T_end, admitted.grasp_q_rad)
+    T_end[2, 3] += params.lift_m
+    line = follow_line(admitted.T_base_grasp, T_end, admitted.grasp_q_rad, params.line_step_m, params.max_joint_jump_rad)
     assert line is not None
     T_tcp_object = inverse(pool.T_object_grasp)
     fingers_m = np.full(2, pool.jaw_width_m / 2)

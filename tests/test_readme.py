@@ -8,7 +8,10 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from tests.model.synthetic_release import write_synthetic_release
+from splits.release import write_release
+from tables.store import read_table
+from tests.model.synthetic_release import RELEASE_SCHEMAS, TOLERANCES, write_synthetic_release
+from tests.splits.damage import PROVENANCE
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -18,7 +21,10 @@ QUERIES = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("readme")
-    write_synthetic_release(folder / "data" / "release" / "mini", n_scenes=6, seed=1)
+    loose = write_synthetic_release(folder / "loose", n_scenes=6, seed=1)
+    tables = {schema.name: read_table(schema, loose / f"{schema.name}.parquet") for schema in RELEASE_SCHEMAS}
+    # Its scenes are the first of `full`; the README's folder is the one that `make demo` writes.
+    write_release(tables, folder / "data" / "release" / "mini", "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
     return folder
 
 

@@ -34,7 +34,7 @@ def policy_feature_rows(object_model: ObjectModel, candidates: Sequence[Candidat
         return [], []
     surroundings = Surroundings(candidates[0].scene)
     pool = {grasp_id: object_model.grasp(grasp_id) for grasp_id in {candidate.grasp.grasp_id for candidate in candidates}}
-    # Built once an object and process, so no part of a candidate's time.
+    # Built once an object and process, so no part of the time of a candidate.
     hands = {grasp_id: hand_body(open_jaw_m(grasp.jaw_width_m)) for grasp_id, grasp in pool.items()}
     features, timings = [], []
     for candidate in candidates:

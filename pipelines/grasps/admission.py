@@ -1,4 +1,4 @@
-"""Which pool grasps a scene allows, by geometry: hand, arm, straight approach and lift; whether they hold is pick_lift's."""
+"""Which pool grasps a scene allows, by geometry: hand, arm, straight approach and lift; see pick_lift.py for whether they hold."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from objects.gripper import open_jaw_m
 from objects.object_model import ObjectModel, PoolGrasp
 from pipelines import laws
 from pipelines.codecs import Row, joints_row
+from pipelines.engines.bounds import bounded, check_bounds
 from pipelines.engines.planning.bodies import CLEARANCE_M, Body, bodies_meet, hand_body
 from pipelines.engines.planning.collision import CollisionModel
 from pipelines.engines.planning.planner import CountedChecks
@@ -28,27 +29,20 @@ from tables.vocabulary import AdmissionStatus
 class AdmissionParams:
     """What a grasp must keep clear of, and how many a scene keeps."""
 
-    quota: int = 32  # admitted grasps a scene, as many as the paper's fixed set an object
-    pregrasp_m: float = 0.10  # straight approach: longer than a finger, so that the hand turns outside the object
-    lift_m: float = 0.12  # vertical lift: clears the height of an obstacle
-    palm_clearance_m: float = 0.002  # palm to object: a palm that touches drags the object on retreat
-    finger_clearance_m: float = 0.0005  # open fingers to object: less is pushed by tracking error alone
-    table_clearance_m: float = 0.002  # hand to table: the arm sags by up to 1 mm
-    pad_reach_m: float = 0.001  # pads closed this much beyond the grasp's width must be inside the object
-    line_step_m: float = 0.0025  # at 5 mm, 3-6 % of line verdicts flip
-    max_joint_jump_rad: float = 0.1  # a line step; more is a detour of the elbow that takes seconds
-    n_q7: int = 32  # lines here are 0.10 and 0.12 m; what 32 values miss is rejected as blocked, and no label
-    max_tries: int = 8  # collision-free configurations whose lines are tried
+    quota: int = bounded(32, 1, 64)  # admitted grasps a scene, as many as the paper's fixed set an object
+    pregrasp_m: float = bounded(0.10, 0.02, 0.3)  # straight approach: longer than a finger, so that the hand turns outside the object
+    lift_m: float = bounded(0.12, 0.02, 0.4)  # vertical lift: clears the height of an obstacle
+    palm_clearance_m: float = bounded(0.002, 0.0, 0.02)  # palm to object: a palm in contact drags the object on retreat
+    finger_clearance_m: float = bounded(0.0005, 0.0, 0.01)  # open fingers to object: less is pushed by tracking error alone
+    table_clearance_m: float = bounded(0.002, 0.0, 0.02)  # hand to table: the arm sags by up to 1 mm
+    pad_reach_m: float = bounded(0.001, 0.0, 0.01)  # pads closed this much beyond the width of the grasp must be inside the object
+    line_step_m: float = bounded(0.0025, 1e-4, 0.0025)  # at 5 mm, 3-6 % of line verdicts flip
+    max_joint_jump_rad: float = bounded(0.1, 0.01, 1.0)  # a line step; more is a detour of the elbow that takes seconds
+    n_q7: int = bounded(32, 1, 4096)  # lines here are 0.10 and 0.12 m; what 32 values miss is rejected as blocked, and no label
+    max_tries: int = bounded(8, 1, 4096)  # collision-free configurations whose lines are tried
 
     def __post_init__(self) -> None:
-        bounds = {
-            "quota": (1, 64), "pregrasp_m": (0.02, 0.3), "lift_m": (0.02, 0.4), "palm_clearance_m": (0.0, 0.02),
-            "finger_clearance_m": (0.0, 0.01), "table_clearance_m": (0.0, 0.02), "pad_reach_m": (0.0, 0.01), "line_step_m": (1e-4, 0.0025),
-            "max_joint_jump_rad": (0.01, 1.0), "n_q7": (1, 4096), "max_tries": (1, 4096),
-        }  # fmt: skip
-        for name, (lower, upper) in bounds.items():
-            if not lower <= getattr(self, name) <= upper:
-                raise ValueError(f"{name} = {getattr(self, name)}, must be in [{lower}, {upper}]")
+        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,15 +55,12 @@ class Reach:
     grasp_q_rad: Float[np.ndarray, "7"] | None = None
 
 
-def admission_rows(object_model: ObjectModel, scene: Scene, params: AdmissionParams, model: CollisionModel | None = None) -> list[Row]:
+def admission_rows(object_model: ObjectModel, scene: Scene, params: AdmissionParams) -> list[Row]:
     """Rows of `grasp_admission`, one for every pool grasp, in grasp order.
 
     Every grasp is judged in full; the first `quota` that pass are admitted. The pool is in farthest-point order, so these are spread.
-
-    Args:
-        model: the scene's collision model if it exists already.
     """
-    model = model or CollisionModel(scene, object_model)
+    model = CollisionModel(scene, object_model)
     rows, n_admitted = [], 0
     grasps = sorted(object_model.grasps, key=lambda grasp: grasp.grasp_id)
     # The poses as their rows give them back, so that what was judged is what physics gets, to the bit.

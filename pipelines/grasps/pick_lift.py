@@ -1,10 +1,11 @@
-"""Does the grasp lift the object? Approach, close, lift and hold in physics; what is tried was decided by grasp_admission."""
+"""Does the grasp lift the object? Approach, close, lift and hold in physics; see admission.py for which grasps are tried."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +14,7 @@ from objects.gripper import open_jaw_m
 from objects.object_model import ObjectModel
 from pipelines import laws
 from pipelines.codecs import Row, joints_row, pose_row
+from pipelines.engines.bounds import BoundsError, bounded, check_bounds
 from pipelines.engines.physics.errors import PhysicsError
 from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.engines.physics.hand_rollout import close_fingers, hold, move, pressing_fingers
@@ -20,6 +22,7 @@ from pipelines.engines.physics.hand_world import HandWorld
 from pipelines.engines.physics.phases import Phase, pose_difference
 from pipelines.engines.planning.trajectory import MotionParams, time_path
 from pipelines.engines.robot.arm import fk, follow_line
+from pipelines.grasps.admission import AdmissionParams
 from pipelines.stage import Stage, Unit, UnitResult, timing_row
 from pipelines.values import AdmittedGrasp, Scene
 from tables.schemas import GRASP_ADMISSION, OBSTACLES, PICK_LIFT, SCENES, TARGETS
@@ -30,50 +33,53 @@ from tables.vocabulary import LiftStatus
 class PickLiftParams:
     """Bounds of the pick-lift check."""
 
-    lift_m: float = 0.12  # as high as an obstacle: what is held clears everything on the table
+    lift_m: float = bounded(0.12, 0.02, 1.0)  # the lift that admission checked, as high as an obstacle
     # At 0.05 m/s a finger crosses its whole 40 mm in 0.8 s; twice that leaves room for an object pushed to the middle.
-    max_close_s: float = 1.6
-    squeeze_s: float = 0.1  # grip force builds up before the arm moves
-    hold_s: float = 0.25  # 60 steps: a grasp that creeps shows it
-    max_approach_push_m: float = 0.01  # the open hand may touch what it is about to grasp, not shove it
-    min_rise_m: float = 0.10  # of the 0.12 m: the rest may be lost to closing and slip, which have their own bound
-    max_slip_m: float = 0.02
-    max_slip_rad: float = 0.2617993877991494  # 15 degrees
+    max_close_s: float = bounded(1.6, 0.01, 10.0)
+    squeeze_s: float = bounded(0.1, 0.01, 10.0)  # grip force builds up before the arm moves
+    hold_s: float = bounded(0.25, 0.01, 10.0)  # 60 steps: a grasp that creeps shows it
+    max_approach_push_m: float = bounded(0.01, 1e-4, 0.5)  # the open hand may brush what it is about to grasp, not shove it
+    min_rise_m: float = bounded(0.10, 0.001, 1.0)  # of the 0.12 m: the rest may be lost to closing and slip, which have their own bound
+    max_slip_m: float = bounded(0.02, 1e-4, 0.5)
+    max_slip_rad: float = bounded(0.2617993877991494, 0.001, math.pi)  # 15 degrees
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not 0.0 < value < 10.0:
-                raise ValueError(f"{field.name} = {value}, must be in (0, 10)")
+        check_bounds(self)
         if self.min_rise_m >= self.lift_m:
-            raise ValueError(f"min_rise_m = {self.min_rise_m}, must be below lift_m = {self.lift_m}")
+            raise BoundsError(f"min_rise_m = {self.min_rise_m}, must be below lift_m = {self.lift_m}")
 
 
-def pick_lift_rows(
-    object_model: ObjectModel,
-    scene: Scene,
-    admitted: Sequence[AdmittedGrasp],
-    params: PickLiftParams,
-    motion: MotionParams,
-    physics: HandWorldParams,
-) -> list[Row]:
+@dataclass(frozen=True, slots=True)
+class PickLiftSetup:
+    """How grasps are tried: phases and verdicts, how their lines were admitted, timing of the motions, physics."""
+
+    pick_lift: PickLiftParams
+    admission: AdmissionParams
+    motion: MotionParams
+    physics: HandWorldParams
+
+
+def pick_lift_rows(object_model: ObjectModel, scene: Scene, admitted: Sequence[AdmittedGrasp], setup: PickLiftSetup) -> list[Row]:
     """Rows of `pick_lift`, one an admitted grasp; each grasp starts from fresh data, so a row depends on its grasp only.
 
     Raises:
         PhysicsError: the engine warned or gave a state that is not finite, or the arm cannot follow a line that admission passed.
     """
-    with HandWorld(object_model, scene.obstacles, physics) as world:
-        return [_pick_lift_row(world, scene, grasp, params, motion) for grasp in admitted]
+    with HandWorld(object_model, scene.obstacles, setup.physics) as world:
+        return [_pick_lift_row(world, scene, grasp, setup) for grasp in admitted]
 
 
-def _pick_lift_row(world: HandWorld, scene: Scene, grasp: AdmittedGrasp, params: PickLiftParams, motion: MotionParams) -> Row:
+def _pick_lift_row(world: HandWorld, scene: Scene, grasp: AdmittedGrasp, setup: PickLiftSetup) -> Row:
+    params, motion = setup.pick_lift, setup.motion
     label = f"{scene.scene_id}-g{grasp.grasp_id:02d}"
     opening_m = open_jaw_m(world.object_model.grasp(grasp.grasp_id).jaw_width_m)
     T_lifted_grasp = grasp.T_base_grasp.copy()
     T_lifted_grasp[2, 3] += params.lift_m
-    # Followed from the grasp outwards, as admission did: the very rows that it checked.
-    approach_q = _line(label, grasp, fk(grasp.pregrasp_q_rad))[::-1]
-    lift_q = _line(label, grasp, T_lifted_grasp)
+    # Followed from the grasp outwards in the steps of admission. The lift has the very rows that admission checked. The approach ends at
+    # the stored pregrasp configuration, some 1e-11 m beside the pose that admission aimed at: its rows differ by as much, and where
+    # the line comes out longer than a whole number of steps (1 in 187), it has one row more.
+    approach_q = _line(label, grasp, fk(grasp.pregrasp_q_rad), setup.admission)[::-1]
+    lift_q = _line(label, grasp, T_lifted_grasp, setup.admission)
 
     world.start_open(label, grasp.pregrasp_q_rad, opening_m / 2, scene.T_base_object)
     move(world, Phase.APPROACH, time_path(approach_q, motion, world.params.dt_s, stop_at_waypoints=False))
@@ -123,8 +129,8 @@ def _row(
     }
 
 
-def _line(label: str, grasp: AdmittedGrasp, T_end: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "m 7"]:
-    path = follow_line(grasp.T_base_grasp, T_end, grasp.grasp_q_rad)
+def _line(label: str, grasp: AdmittedGrasp, T_end: Float[np.ndarray, "4 4"], admission: AdmissionParams) -> Float[np.ndarray, "m 7"]:
+    path = follow_line(grasp.T_base_grasp, T_end, grasp.grasp_q_rad, admission.line_step_m, admission.max_joint_jump_rad)
     if path is None:
         end = T_end[:3, 3].round(3).tolist()
         raise PhysicsError(f"{label}: the arm cannot follow the line from the grasp to {end} m that admission passed")
@@ -134,8 +140,8 @@ def _line(label: str, grasp: AdmittedGrasp, T_end: Float[np.ndarray, "4 4"]) -> 
 def run(unit: Unit) -> UnitResult:
     """One admitted grasp."""
     start = time.process_time_ns()
-    params, motion, physics = unit.params(PickLiftParams), unit.params(MotionParams), unit.params(HandWorldParams)
-    rows = pick_lift_rows(unit.object_model, unit.scene, unit.known.admitted, params, motion, physics)
+    sections = unit.params(PickLiftParams), unit.params(AdmissionParams), unit.params(MotionParams), unit.params(HandWorldParams)
+    rows = pick_lift_rows(unit.object_model, unit.scene, unit.known.admitted, PickLiftSetup(*sections))
     return UnitResult({"pick_lift": rows}, [timing_row("pick_lift", unit.item_id, start)])
 
 
@@ -147,7 +153,7 @@ STAGE = Stage(
     inputs=(SCENES, OBSTACLES, TARGETS, GRASP_ADMISSION),
     objects=("objects", "object_parts", "grasp_pool"),
     outputs=(PICK_LIFT,),
-    sections=(PickLiftParams, MotionParams, HandWorldParams),
+    sections=(PickLiftParams, AdmissionParams, MotionParams, HandWorldParams),
     engines=("mujoco", "frankik", "ruckig", "numpy", "scipy"),
     run=run,
     law=laws.pick_lift_law,

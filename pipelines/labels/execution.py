@@ -15,6 +15,7 @@ from objects.gripper import open_jaw_m
 from objects.object_model import ObjectModel
 from pipelines import laws
 from pipelines.codecs import Row, pose_row
+from pipelines.engines.bounds import BoundsError, bounded, check_bounds
 from pipelines.engines.physics.hand_model import HAND_PARTS
 from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.engines.physics.hand_rollout import RestWatch, hold, move, open_fingers, settle
@@ -32,29 +33,34 @@ from tables.vocabulary import ExecStatus, Perturbation, Symmetry
 class ExecutionParams:
     """How a placement is executed and what counts as a valid end."""
 
-    hold_s: float = 0.05  # contacts find their forces before the arm moves: five relaxation times of the pads
-    max_open_s: float = 0.5  # 12 mm a finger take 0.24 s at 0.05 m/s
-    # Between opening and retreat: the object drops the release height (some mm, 40 ms) and comes to rest or does not.
-    release_wait_s: float = 0.1
+    hold_s: float = bounded(0.05, 0.001, 10.0)  # contacts find their forces before the arm moves: five relaxation times of the pads
+    max_open_s: float = bounded(0.5, 0.001, 10.0)  # 12 mm a finger take 0.24 s at 0.05 m/s
+    # Between opening and retreat: the object drops the release height (10 mm take 45 ms) and comes to rest or does not.
+    release_wait_s: float = bounded(0.1, 0.001, 10.0)
     # The retreat ends once the object rests and the hand is this far away: from here the hand only moves further, on a line that was
     # planned free of everything.
-    clear_gap_m: float = 0.02
-    max_settle_steps: int = 480  # 2 s: what still moves then is rolling away
-    position_tolerance_m: float = 0.02
-    rotation_tolerance_rad: float = 0.17453292519943295  # 10 degrees
-    dropped_m: float = 0.05  # further from where the hand held it than a pad is long
-    slipped_m: float = 0.02  # the bounds of the pick-lift check
-    slipped_rad: float = 0.2617993877991494
-    # A 0.35 kg can stopped from 0.6 m/s. Touching in passing is less.
-    collision_impulse_n_s: float = 0.2
-    dragged_m: float = 0.01  # half the position tolerance: what the retreat may move
-    toppled_rad: float = 0.2617993877991494  # 15 degrees of tilt: beyond tolerance, and no face of a box is that close to another
+    clear_gap_m: float = bounded(0.02, 0.001, 0.5)
+    max_settle_steps: int = bounded(480, 1, 100_000)  # 2 s: what still moves then is rolling away
+    # How near to the target a valid placement ends, modulo the symmetry of the object.
+    position_tolerance_m: float = bounded(0.0075, 1e-4, 0.5)
+    rotation_tolerance_rad: float = bounded(0.08726646259971647, 0.001, math.pi)
+    dropped_m: float = bounded(0.05, 0.001, 1.0)  # further from where the hand held it than a pad is long
+    slipped_m: float = bounded(0.02, 1e-4, 0.5)  # the bounds of the pick-lift check
+    slipped_rad: float = bounded(0.2617993877991494, 0.001, math.pi)
+    collision_impulse_n_s: float = bounded(0.2, 0.001, 100.0)  # a 0.35 kg can stopped from 0.6 m/s; brushing past is less
+    dragged_m: float = bounded(0.00375, 1e-5, 0.5)  # what the retreat may move the object by
+    # 15 degrees of tilt: beyond tolerance, and no face of a box is that close to another.
+    toppled_rad: float = bounded(0.2617993877991494, 0.001, math.pi)
 
     def __post_init__(self) -> None:
-        for item in dataclasses.fields(self):
-            value = getattr(self, item.name)
-            if not 0.0 < value < 1e5:
-                raise ValueError(f"{item.name} = {value}, must be in (0, 1e5)")
+        check_bounds(self)
+        for name, bound in (
+            ("dragged_m", "position_tolerance_m"),
+            ("slipped_m", "dropped_m"),
+            ("rotation_tolerance_rad", "toppled_rad"),
+        ):
+            if getattr(self, name) > getattr(self, bound):
+                raise BoundsError(f"{name} = {getattr(self, name)}, must be at most {bound} = {getattr(self, bound)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +280,7 @@ def run(unit: Unit) -> UnitResult:
         rows.append(row)
         timings.append(timing_row("execution_labels", row["candidate_id"], start))
         start = time.process_time_ns()
-    if timings:  # the engine's end
+    if timings:  # the end of the engine
         timings[-1]["core_ms"] += (time.process_time_ns() - start) / 1e6
     return UnitResult({"execution_labels": rows}, timings)
 

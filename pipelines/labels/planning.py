@@ -14,7 +14,8 @@ from objects.gripper import open_jaw_m
 from objects.object_model import ObjectModel
 from pipelines import laws
 from pipelines.codecs import Row, plan_columns
-from pipelines.engines.planning.bodies import hand_body
+from pipelines.engines.bounds import bounded, check_bounds
+from pipelines.engines.planning.bodies import CLEARANCE_M, hand_body
 from pipelines.engines.planning.clearance import path_clearance_m
 from pipelines.engines.planning.collision import CollisionModel
 from pipelines.engines.planning.planner import CountedChecks, SearchParams, path_samples, search_path
@@ -31,27 +32,24 @@ from tables.vocabulary import PlanStatus
 class PlanningParams:
     """How a placement is planned, and how finely it is checked."""
 
-    # Let go above the target: the held object needs its clearance of 1 mm above the table, and the arm tracks within 1 mm. From 3 mm it
-    # lands at 0.24 m/s; below 2 mm no place pose would be free.
-    release_height_m: float = 0.003
-    preplace_m: float = 0.10  # straight descend: what is set down beside an obstacle of 0.12 m comes down along it
-    retreat_m: float = 0.10  # straight retreat along the approach: longer than a finger
+    # Let go so far above the target. The held object needs its clearance above the table, and the arm tracks within 1 mm: lower, no
+    # place pose would be free.
+    release_height_m: float = bounded(0.010, 2 * CLEARANCE_M, 0.05)
+    preplace_m: float = bounded(0.15, 0.01, 0.4)  # straight descend from above the place pose
+    retreat_m: float = bounded(0.15, 0.01, 0.4)  # straight retreat along the approach
     # Lines of 0.15 m can be followed from a narrow range of joint 7 only: 32 miss 7 plans in 3,240 candidates that 256 find, 128 miss 1.
-    n_q7: int = 128
-    max_goals: int = 512  # all: the nearest 16 lie so close that 4 in 1,000 labels were blocked for all of them but not for the next
-    line_step_m: float = 0.0025  # at 5 mm, 3-6 % of line verdicts flip
-    max_joint_jump_rad: float = 0.1  # a line step: 0.35 rad flips no label, but such lines take up to 11 s instead of 1.1
-    clearance_step_rad: float = 0.05  # between clearance samples of the transport: 2-4 cm at the TCP, about 30 samples, a tenth of the cost
+    n_q7: int = bounded(128, 1, 4096)
+    # All: the nearest 16 lie so close that 4 in 1,000 labels were blocked for all of them but not for the next.
+    max_goals: int = bounded(512, 1, 4096)
+    line_step_m: float = bounded(0.0025, 1e-4, 0.0025)  # at 5 mm, 3-6 % of line verdicts flip
+    # A line step: 0.35 rad flips no label, but such lines take up to 11 s instead of 1.1.
+    max_joint_jump_rad: float = bounded(0.1, 0.01, 1.0)
+    # Between clearance samples of the transport: 2-4 cm at the TCP, about 30 samples, a tenth of the cost.
+    clearance_step_rad: float = bounded(0.05, 0.001, 0.5)
     search: SearchParams = field(default_factory=SearchParams)
 
     def __post_init__(self) -> None:
-        bounds = {
-            "release_height_m": (0.002, 0.05), "preplace_m": (0.01, 0.4), "retreat_m": (0.01, 0.4), "n_q7": (1, 4096),
-            "max_goals": (1, 4096), "line_step_m": (1e-4, 0.0025), "max_joint_jump_rad": (0.01, 1.0), "clearance_step_rad": (0.001, 0.5),
-        }  # fmt: skip
-        for name, (lower, upper) in bounds.items():
-            if not lower <= getattr(self, name) <= upper:
-                raise ValueError(f"{name} = {getattr(self, name)}, must be in [{lower}, {upper}]")
+        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)

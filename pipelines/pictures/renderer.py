@@ -122,7 +122,8 @@ def _back_projected(depth: Float[np.ndarray, "h w"], clip_from_base: Float[np.nd
     x, y = np.meshgrid(np.arange(w) / w * 2 - 1, 1 - (np.arange(h) + 1) / h * 2)
     clip = np.stack([x, y, 2 * depth - 1, np.ones_like(depth)], axis=-1)
     base = clip @ np.linalg.inv(clip_from_base).T
-    return base[..., :3] / base[..., 3:]
+    points_m: Float[np.ndarray, "h w 3"] = base[..., :3] / base[..., 3:]
+    return points_m
 
 
 def _flat_shaded_obj(mesh: TriangleMesh) -> str:

@@ -1,4 +1,4 @@
-"""An execution as an MCAP file (joint states, object pose, contacts, phase) and back; running it is the stages'."""
+"""An execution as an MCAP file (joint states, object pose, contacts, phase) and back; see labels/execution.py for how it is run."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from mcap.writer import CompressionType, Writer
 
 from pipelines.engines.physics.hand_world import HandWorld
 from pipelines.engines.physics.phases import Phase
+from tables.errors import PlaceBenchError
 from tables.poses import matrix_of, pose_of
 
 _NUMBERS = {"type": "array", "items": {"type": "number"}}
@@ -28,7 +29,7 @@ _SCHEMAS: dict[str, dict[str, Any]] = {
 _METADATA = "execution"
 
 
-class TraceError(ValueError):
+class TraceError(PlaceBenchError, ValueError):
     """A file that is not a trace of ours."""
 
 
@@ -51,7 +52,7 @@ class Trace:
 
 
 class TraceRecorder:
-    """Context manager that writes what a world does; `record` is a rollout's watch. Equal executions give equal bytes.
+    """Context manager that writes what a world does; `record` is a watch of a rollout. Equal executions give equal bytes.
 
     Args:
         path: the file to write.

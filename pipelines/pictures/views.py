@@ -7,7 +7,7 @@ from jaxtyping import Float, UInt8
 
 from objects.object_model import ObjectModel
 from pipelines.pictures.renderer import Renderer, Rgb, View
-from pipelines.values import Scene
+from pipelines.values import TABLE_X_M, TABLE_Y_M, Scene
 from tables.vocabulary import PointType
 
 TABLE_RGB: Rgb = (0.86, 0.84, 0.80)
@@ -18,31 +18,20 @@ _GHOST_OPACITY = 0.5
 _PICTURE_SHARPNESS = 2  # rendered at twice the size and averaged: the renderer does not smooth edges
 
 
-def render_scene(
-    object_model: ObjectModel,
-    scene: Scene,
-    size_px: tuple[int, int] = (640, 480),
-    *,
-    show_targets_as_ghosts: bool = True,
-    robot_q: Float[np.ndarray, "7"] | None = None,
-) -> UInt8[np.ndarray, "h w 3"]:
+def render_scene(object_model: ObjectModel, scene: Scene, size_px: tuple[int, int] = (640, 480)) -> UInt8[np.ndarray, "h w 3"]:
     """A picture of a scene for people: object blue, obstacles brown, targets as green ghosts.
 
     Args:
         size_px: width and height.
-        robot_q: draw the arm at this configuration with an open hand.
     """
     view = picture_view(size_px)
     with Renderer() as renderer:
         build_scene(renderer, object_model, scene)
-        if robot_q is not None:
-            renderer.pose_robot(renderer.add_robot(), robot_q, np.array([0.04, 0.04]))
         picture = renderer.photograph(view).rgb.astype(np.float64)
-        if show_targets_as_ghosts:
-            for target in scene.targets:
-                renderer.add_mesh(object_model.mesh, target.T_base_target, GHOST_RGB)
-            ghosts = renderer.photograph(view)
-            picture += _GHOST_OPACITY * (ghosts.rgb - picture)
+        for target in scene.targets:
+            renderer.add_mesh(object_model.mesh, target.T_base_target, GHOST_RGB)
+        ghosts = renderer.photograph(view)
+        picture += _GHOST_OPACITY * (ghosts.rgb - picture)
     return shrunk(picture)
 
 
@@ -59,14 +48,16 @@ def shrunk(picture: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
     """Average blocks of pixels down to the asked size."""
     n = _PICTURE_SHARPNESS
     h, w, _ = picture.shape
-    return np.clip(picture.reshape(h // n, n, w // n, n, 3).mean(axis=(1, 3)), 0, 255).round().astype(np.uint8)
+    small: UInt8[np.ndarray, "h w 3"] = np.clip(picture.reshape(h // n, n, w // n, n, 3).mean(axis=(1, 3)), 0, 255).round().astype(np.uint8)
+    return small
 
 
 def add_table(renderer: Renderer) -> int:
     """The table top."""
     T = np.eye(4)
-    T[:3, 3] = 0.35, 0.0, -0.02
-    return renderer.add_box(np.array([1.5, 1.8, 0.04]), T, TABLE_RGB)
+    (x0, x1), (y0, y1), thickness_m = TABLE_X_M, TABLE_Y_M, 0.04
+    T[:3, 3] = (x0 + x1) / 2, (y0 + y1) / 2, -thickness_m / 2
+    return renderer.add_box(np.array([x1 - x0, y1 - y0, thickness_m]), T, TABLE_RGB)
 
 
 def build_scene(renderer: Renderer, object_model: ObjectModel, scene: Scene) -> dict[int, PointType]:

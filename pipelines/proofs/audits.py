@@ -1,6 +1,6 @@
-"""Which planning labels are audited, and a row for each; how a path or a rejection is judged is pipelines.proofs.audit's.
+"""Which planning labels are audited, and a row for each; see audit/ for how a path or a rejection is judged.
 
-What the rows mean is reports.audit's; physics under perturbations is pipelines.proofs.repeats'.
+See reports/audit.py for what the rows mean, and repeats.py for physics under perturbations.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where the core time of a stage goes: its units run under the profiler; what a label costs is the timings' to say."""
+"""Where the core time of a stage goes: its units run under the profiler; see the `timings` tables for what a label costs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pipelines.stage import Stage
 
 
 def largest_costs(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs, n_units: int, n_costs: int = 3) -> list[tuple[str, float]]:
-    """The functions that take the most time themselves, and their shares of the stage's.
+    """The functions that take the most time themselves, and their shares of the time of the stage.
 
     Args:
         stage: made for the shard before; nothing is written.

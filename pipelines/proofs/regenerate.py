@@ -16,7 +16,7 @@ from objects.build import build_object_models
 from objects.catalogue import catalogue_order, load_catalogue
 from objects.object_model import ObjectModel
 from pipelines.codecs import Row, known_in, rows_by_scene
-from pipelines.recipe import DEFAULT_RECIPE, Recipe, load_recipe
+from pipelines.recipe import DEFAULT_RECIPE, Recipe, RecipeError, load_recipe
 from pipelines.running.data_root import DataRoot
 from pipelines.scenes.allocation import scene_allocation
 from pipelines.stages import STAGES
@@ -107,11 +107,11 @@ def _own(rows: list[Row], candidate: CandidateId | None) -> list[Row]:
 def _is_of(row: Row, candidate: CandidateId) -> bool:
     if "candidate_id" in row:
         return parse_candidate_id(row["candidate_id"]) == candidate
-    return row.get("grasp_id", candidate.grasp_id) == candidate.grasp_id
+    return bool(row.get("grasp_id", candidate.grasp_id) == candidate.grasp_id)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line: 0 where every stored table agrees, 1 where one differs or the id is wrong, 2 where nothing is stored."""
+    """Command line: 0 where every stored table agrees, 1 where one differs or the id or the recipe is wrong, 2 where nothing is stored."""
     parser = argparse.ArgumentParser(prog="python -m pipelines.regenerate", description=__doc__)
     parser.add_argument("name", help="a scene id or a candidate id")
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder to compare with")
@@ -119,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     try:
         comparisons = regenerate(chosen.name, DataRoot(chosen.data), chosen.recipe)
-    except IdentityError as error:
+    except (IdentityError, RecipeError) as error:
         print(error, file=sys.stderr)
         return 1
     words = {True: "identical", False: "DIFFERENT", None: "not stored"}

@@ -16,15 +16,16 @@ from pipelines.codecs import Row, plan_in
 from pipelines.labels.execution import execute_perturbed
 from pipelines.labels.planning import motion_of, planning_rows
 from pipelines.recipe import Recipe
-from pipelines.running.workers import run_units
+from pipelines.running.workers import UNITS_PER_WORKER_LIFE, run_units
 from pipelines.values import Candidate
 from tables.columns import TableSchema
+from tables.errors import PlaceBenchError
 from tables.identity import order_key
 from tables.schemas import EXECUTION_LABELS, PLANNING_LABELS
 from tables.vocabulary import Perturbation
 
 
-class RepeatError(RuntimeError):
+class RepeatError(PlaceBenchError, RuntimeError):
     """A repeat that could not be run; names the candidate and why."""
 
 
@@ -70,7 +71,7 @@ def attempt_rows(repeats: Sequence[Repeat], n_workers: int) -> Iterator[Row]:
     """
     fresh = [repeat for repeat in repeats if repeat.perturbation is Perturbation.FRESH]
     perturbed = [repeat for repeat in repeats if repeat.perturbation is not Perturbation.FRESH]
-    for some, units_per_life in ((fresh, 1), (perturbed, None)):
+    for some, units_per_life in ((fresh, 1), (perturbed, UNITS_PER_WORKER_LIFE)):
         with closing(run_units(attempt_row, [(repeat,) for repeat in some], max(1, n_workers), units_per_life)) as outcomes:
             for outcome in outcomes:
                 if outcome.error is not None:

@@ -45,6 +45,14 @@ class DataRoot:
     def checkpoint(self, tier: str, variant: str, seed: int) -> Path:
         return self.path / "checkpoints" / tier / f"{variant}-{seed}"
 
+    def objects_lock(self) -> Path:
+        """Held by whoever makes the object tables; see lock.py."""
+        return self.path / "objects" / ".lock"
+
+    def shard_lock(self, shard: str) -> Path:
+        """Held by whoever makes tables of the shard."""
+        return self.path / "shards" / shard / ".lock"
+
     def read_objects(self) -> dict[str, pa.Table]:
         """The five object tables by name."""
         return {name: read_table(ALL_SCHEMAS[name], self.object_table(name)) for name in OBJECT_TABLES}

@@ -18,6 +18,7 @@ from objects.errors import ObjectError
 from objects.provenance import catalogue_sources, object_sources
 from pipelines.recipe import Recipe
 from pipelines.running.data_root import DataRoot
+from pipelines.running.lock import locked
 from pipelines.running.object_store import ObjectStore, intact_sidecars
 from pipelines.running.workers import run_units
 from tables.columns import SchemaError
@@ -48,6 +49,7 @@ def make_object_tables(
         CatalogueError: the catalogue is not what it should be.
         ObjectTablesError: at least one object failed. Nothing is published then; the others are kept, and the next run builds only the
             failed ones.
+        LockError: somebody else builds them; names the owner.
     """
     specs = load_catalogue(catalogue)
     sources = catalogue_sources(specs, recipe.objects, recipe.seed)
@@ -56,13 +58,14 @@ def make_object_tables(
     if published is not None:
         log("objects: up to date")
         return published
-    built = _all_objects(specs, recipe, ObjectStore(root, log), n_workers, log)
-    return {
-        name: write_table(
-            ALL_SCHEMAS[name], join_tables(ALL_SCHEMAS[name], [built[spec.object_id][name] for spec in specs]), paths[name], sources
-        )
-        for name in OBJECT_TABLES
-    }
+    with locked(root.objects_lock(), "object tables"):
+        built = _all_objects(specs, recipe, ObjectStore(root, log), n_workers, log)
+        return {
+            name: write_table(
+                ALL_SCHEMAS[name], join_tables(ALL_SCHEMAS[name], [built[spec.object_id][name] for spec in specs]), paths[name], sources
+            )
+            for name in OBJECT_TABLES
+        }
 
 
 def _all_objects(

@@ -6,34 +6,30 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from importlib import metadata
 
 import pyarrow as pa
 
 from objects.catalogue import catalogue_order
 from objects.object_model import ObjectModel, object_models_from_tables
+from pipelines import stages
 from pipelines.codecs import known_in, rows_by_scene
 from pipelines.recipe import Recipe
 from pipelines.running.data_root import DataRoot
+from pipelines.running.lock import locked
 from pipelines.running.unfinished import SceneCollector, SceneParts
 from pipelines.running.workers import run_units
 from pipelines.scenes.allocation import scene_allocation
 from pipelines.stage import Promise, Stage, Unit
 from pipelines.values import SceneAllocation
+from tables.errors import PlaceBenchError
 from tables.identity import scenes_of_shard
-from tables.schemas import OBJECT_TABLES, SCHEMA_VERSION, TIMINGS
-from tables.store import (
-    Sidecar,
-    StoreError,
-    file_sha256,
-    read_sidecar,
-    read_tables,
-    sidecar_path,
-    write_table,
-)
+from tables.schemas import OBJECT_TABLES, TIMINGS
+from tables.sidecar import Missing, Sidecar, StoreError, find_published, read_sidecar
+from tables.store import read_tables, write_table
+from tables.versions import library_versions
 
 
-class StageError(RuntimeError):
+class StageError(PlaceBenchError, RuntimeError):
     """Scenes of a shard that could not be made; the message has each one's id and reason, the others are kept."""
 
 
@@ -61,7 +57,7 @@ class StageReport:
 
 @dataclass(frozen=True, slots=True)
 class ShardInputs:
-    """What a stage reads besides the shard's own tables: recipe, objects and the hashes of their tables, allocations of the scenes."""
+    """What a stage reads besides tables of the same shard: recipe, objects and the hashes of their tables, allocations of the scenes."""
 
     recipe: Recipe
     object_models: Mapping[str, ObjectModel]
@@ -89,20 +85,36 @@ def run_stage(
     inputs: ShardInputs,
     n_workers: int,
     on_progress: Callable[[Progress], None] = lambda _: None,
+    log: Callable[[str], object] = lambda _: None,
 ) -> StageReport:
     """Publish the tables of one stage for one shard.
 
     Args:
         n_workers: worker processes; 0 stays in this process. The result does not depend on it.
         on_progress: called after every unit.
+        log: told of what was damaged and is made again.
 
     Raises:
         StageError: at least one scene failed. Finished scenes stay on disk, and the next run makes only the missing ones.
         StoreError: an upstream table is not published.
+        LockError: somebody else builds this shard; names the owner.
     """
+    with locked(root.shard_lock(shard), f"shard {shard}"):
+        return _run_stage(stage, shard, root, inputs, n_workers, on_progress, log)
+
+
+def _run_stage(
+    stage: Stage,
+    shard: str,
+    root: DataRoot,
+    inputs: ShardInputs,
+    n_workers: int,
+    on_progress: Callable[[Progress], None],
+    log: Callable[[str], object],
+) -> StageReport:
     start = time.perf_counter()
     made_from = _made_from(stage, shard, root, inputs)
-    published = _published(stage, shard, root, made_from)
+    published = _published(stage, shard, root, made_from, log)
     parts = SceneParts(stage, shard, root, made_from)
     if published is not None:
         parts.delete()
@@ -112,7 +124,7 @@ def run_stage(
     units = units_of_shard(stage, inputs, upstream, missing)
     collector = SceneCollector(units, [allocation.scene_id for allocation in missing], parts)
     try:
-        with closing(run_units(stage.run, [(unit,) for unit in units], n_workers)) as outcomes:
+        with closing(run_units(stage.run, [(unit,) for unit in units], n_workers, preload=(stages,))) as outcomes:
             for n_done, outcome in enumerate(outcomes, 1):
                 collector.enter(units[outcome.index], outcome)
                 on_progress(Progress(stage.name, shard, n_done, len(units)))
@@ -147,11 +159,12 @@ def units_of_shard(
 
 
 def is_published(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs) -> bool:
-    """Whether the tables of a stage are on disk, unchanged, and made from what would be used today."""
+    """Whether the tables of a stage are on disk, unchanged, of this shard, and made from what would be used today."""
     try:
-        return _published(stage, shard, root, _made_from(stage, shard, root, inputs)) is not None
+        made_from = _made_from(stage, shard, root, inputs)
     except StoreError:
         return False
+    return _published(stage, shard, root, made_from, lambda _: None) is not None
 
 
 def _made_from(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs) -> dict[str, str]:
@@ -165,21 +178,20 @@ def _made_from(stage: Stage, shard: str, root: DataRoot, inputs: ShardInputs) ->
         "recipe": inputs.recipe.hash_of_sections(*stage.sections),
         **{f"object.{name}": inputs.object_hashes[name] for name in stage.objects},
         **{f"table.{t.name}": read_sidecar(root.shard_table(shard, t.name)).content_hash for t in stage.inputs},
-        **{f"engine.{name}": metadata.version(name) for name in stage.engines},
+        **{f"engine.{name}": version for name, version in library_versions(stage.engines).items()},
     }
 
 
-def _published(stage: Stage, shard: str, root: DataRoot, made_from: Mapping[str, str]) -> dict[str, Sidecar] | None:
-    sidecars = {}
-    for schema in stage.outputs:
-        path = root.shard_table(shard, schema.name)
-        if not path.exists() or not sidecar_path(path).exists():
-            return None
-        sidecar = read_sidecar(path)
-        if sidecar.made_from != made_from or sidecar.schema_version != SCHEMA_VERSION or file_sha256(path) != sidecar.sha256:
-            return None
-        sidecars[schema.name] = sidecar
-    return sidecars
+def _published(
+    stage: Stage, shard: str, root: DataRoot, made_from: Mapping[str, str], log: Callable[[str], object]
+) -> dict[str, Sidecar] | None:
+    """The sidecars of a stage's tables, None where one has to be made; what is damaged is told in one line and counts as missing."""
+    found = {schema.name: find_published(schema, root.shard_table(shard, schema.name), made_from, shard) for schema in stage.outputs}
+    for missing in found.values():
+        if isinstance(missing, Missing) and missing.is_damaged:
+            log(f"{missing}; made again")
+    sidecars = {name: sidecar for name, sidecar in found.items() if isinstance(sidecar, Sidecar)}
+    return sidecars if len(sidecars) == len(found) else None
 
 
 def _publish(
@@ -191,15 +203,15 @@ def _publish(
     parts: SceneParts,
     made_from: Mapping[str, str],
 ) -> dict[str, Sidecar]:
-    """Join the scenes, hold them against the stage's law, and write what is lawful: a published table always is."""
+    """Join the scenes, hold them against the law of the stage, and write what is lawful: a published table always is."""
     scene_ids = [allocation.scene_id for allocation in inputs.allocations]
     made = {schema.name: parts.joined(schema, scene_ids) for schema in stage.outputs}
     errors = stage.law({**upstream, **made}, inputs.promise)
     if errors:
         parts.delete()
         raise StageError(f"{shard}.{stage.name}: {len(errors)} laws broken, must be 0; nothing is published:\n" + "\n".join(errors))
-    write_table(TIMINGS, parts.joined(TIMINGS, scene_ids), root.timings(shard, stage.name), made_from)
-    sidecars = {s.name: write_table(s, made[s.name], root.shard_table(shard, s.name), made_from) for s in stage.outputs}
+    write_table(TIMINGS, parts.joined(TIMINGS, scene_ids), root.timings(shard, stage.name), made_from, of=shard)
+    sidecars = {s.name: write_table(s, made[s.name], root.shard_table(shard, s.name), made_from, of=shard) for s in stage.outputs}
     parts.delete()
     return sidecars
 

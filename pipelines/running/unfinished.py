@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import pyarrow as pa
 
@@ -15,7 +17,9 @@ from pipelines.running.workers import Outcome
 from pipelines.stage import Stage, Unit, UnitResult
 from tables.columns import TableSchema
 from tables.schemas import TIMINGS
-from tables.store import join_tables, read_sidecar, read_table, sidecar_path, table_from_rows, write_table
+from tables.store import Missing, find_published, join_tables, read_table, table_from_rows, write_table
+
+LOG = logging.getLogger(__name__)
 
 # A scene's files cost 25 ms to write: stages that take less than this in all never write any.
 SECONDS_IN_MEMORY = 5.0
@@ -31,9 +35,13 @@ class SceneParts:
         self._flushed_s = time.monotonic()
 
     def is_on_disk(self, scene_id: str) -> bool:
-        """Whether an earlier run finished the scene from the same inputs."""
-        paths = [self._root.scene_part(self._shard, self._stage.name, scene_id, schema.name) for schema in self._schemas]
-        return all(sidecar_path(path).exists() and read_sidecar(path).made_from == self._made_from for path in paths)
+        """Whether an earlier run finished the scene from the same inputs; a damaged part is told to the log and counts as missing."""
+        found = [find_published(schema, self._path(schema, scene_id), self._made_from, scene_id) for schema in self._schemas]
+        missing = [part for part in found if isinstance(part, Missing)]
+        damaged = [part for part in missing if part.is_damaged]
+        if damaged:
+            LOG.warning("%s.%s: finished scene is damaged, made again: %s", self._shard, self._stage.name, "; ".join(map(str, damaged)))
+        return not missing
 
     def add(self, scene_id: str, results: Sequence[UnitResult]) -> None:
         """Keep a finished scene; raises SchemaError where its rows are not what the schemas say."""
@@ -53,8 +61,7 @@ class SceneParts:
         """Write what is in memory only."""
         for scene_id, tables in self._in_memory.items():
             for schema in self._schemas:
-                path = self._root.scene_part(self._shard, self._stage.name, scene_id, schema.name)
-                write_table(schema, tables[schema.name], path, self._made_from)
+                write_table(schema, tables[schema.name], self._path(schema, scene_id), self._made_from, of=scene_id)
         self._in_memory.clear()
         self._flushed_s = time.monotonic()
 
@@ -72,7 +79,10 @@ class SceneParts:
     def _table(self, schema: TableSchema, scene_id: str) -> pa.Table:
         if scene_id in self._in_memory:
             return self._in_memory[scene_id][schema.name]
-        return read_table(schema, self._root.scene_part(self._shard, self._stage.name, scene_id, schema.name))
+        return read_table(schema, self._path(schema, scene_id), of=scene_id)
+
+    def _path(self, schema: TableSchema, scene_id: str) -> Path:
+        return self._root.scene_part(self._shard, self._stage.name, scene_id, schema.name)
 
 
 class SceneCollector:

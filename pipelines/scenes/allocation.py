@@ -11,7 +11,7 @@ N_OBSTACLE_COUNTS = 3
 
 
 def scene_allocation(scene_id: str, objects: Sequence[tuple[str, str]]) -> SceneAllocation:
-    """Layout of a scene.
+    """Allocation of a scene.
 
     Objects take turns by category (can, mug, cuboid, can, ...), so that any 19 neighbours hold all categories. The obstacle count
     of an object moves on by one each time the object returns, so that it is balanced over objects, categories and shards.
@@ -36,7 +36,7 @@ def scene_allocation(scene_id: str, objects: Sequence[tuple[str, str]]) -> Scene
 
 
 def family_allocation(family: str, objects: Sequence[tuple[str, str]]) -> tuple[SceneAllocation, ...]:
-    """Layouts of all scenes of a family, built or not."""
+    """Allocations of all scenes of a family, built or not."""
     return tuple(scene_allocation(scene_id_of(family, k), objects) for k in range(n_scenes_of(family)))
 
 

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from objects.object_model import ObjectModel
 from pipelines import laws
 from pipelines.codecs import Row
+from pipelines.engines.bounds import BoundsError, bounded, check_bounds
 from pipelines.pictures.renderer import Photograph, Renderer, View
 from pipelines.pictures.views import build_scene
 from pipelines.stage import Stage, Unit, UnitResult, timing_row
@@ -24,27 +25,25 @@ from tables.vocabulary import PointType
 class CameraParams:
     """Two depth cameras on opposite corners of the table, and how many of their points are kept."""
 
-    eyes_m: tuple[tuple[float, float, float], ...] = (
-        (1.15, 0.75, 0.80),
-        (-0.20, -0.80, 0.80),
-    )  # together they see every side but the bottom
-    look_at_m: tuple[float, float, float] = (0.42, 0.0, 0.05)  # the middle of the workspace
-    fov_deg: float = 46.0  # the whole workspace, and 3 mm a pixel on the object
-    width_px: int = 320
-    height_px: int = 240
-    n_points: int = 2048
+    # Together they see every side but the bottom.
+    eyes_m: tuple[tuple[float, float, float], ...] = bounded(((1.15, 0.75, 0.80), (-0.20, -0.80, 0.80)), -5.0, 5.0)
+    look_at_m: tuple[float, float, float] = bounded((0.42, 0.0, 0.05), -5.0, 5.0)  # the middle of the workspace
+    fov_deg: float = bounded(46.0, 5.0, 120.0)  # the whole workspace, and 3 mm a pixel on the object
+    width_px: int = bounded(320, 16, 4096)
+    height_px: int = bounded(240, 16, 4096)
+    n_points: int = bounded(2048, 2, 1_000_000)
     # Half of the points for the object: it is small in the image and everything is about it.
-    n_object_points: int = 1024
-    n_obstacle_points: int = 512
-    max_radius_m: float = 0.95  # table beyond it is out of the arm's reach
+    n_object_points: int = bounded(1024, 1, 1_000_000)
+    n_obstacle_points: int = bounded(512, 0, 1_000_000)
+    max_radius_m: float = bounded(0.95, 0.1, 5.0)  # table beyond it is out of the reach of the arm
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         if self.n_object_points + self.n_obstacle_points >= self.n_points:
-            raise ValueError(
-                f"n_points = {self.n_points}, must be above {self.n_object_points} object and {self.n_obstacle_points} obstacle points"
+            raise BoundsError(
+                f"n_points = {self.n_points}, must be above n_object_points + n_obstacle_points"
+                f" = {self.n_object_points} + {self.n_obstacle_points}"
             )
-        if not self.eyes_m or not 5.0 < self.fov_deg < 120.0:
-            raise ValueError(f"{len(self.eyes_m)} eyes with fov_deg = {self.fov_deg}, must be at least one and in (5, 120)")
 
 
 def scene_point_rows(object_model: ObjectModel, scene: Scene, params: CameraParams, seed: int) -> list[Row]:
@@ -81,7 +80,8 @@ def _clouds(object_model: ObjectModel, scene: Scene, params: CameraParams) -> di
 def _points_of(photograph: Photograph, types: dict[int, PointType], kind: PointType, params: CameraParams) -> Float[np.ndarray, "n 3"]:
     bodies = [body for body, its_kind in types.items() if its_kind is kind]
     points = photograph.points_m[np.isin(photograph.body, bodies)]
-    return points[np.linalg.norm(points[:, :2], axis=1) <= params.max_radius_m]
+    within_reach: Float[np.ndarray, "n 3"] = points[np.linalg.norm(points[:, :2], axis=1) <= params.max_radius_m]
+    return within_reach
 
 
 def _some(rng: np.random.Generator, points: Float[np.ndarray, "n 3"], n: int) -> Float[np.ndarray, "m 3"]:

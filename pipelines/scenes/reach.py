@@ -1,4 +1,4 @@
-"""How many pool grasps a pose allows at first sight: hand above the table, arm long enough; the rest is grasp_admission's."""
+"""How many pool grasps a pose allows at first sight: hand above the table, arm long enough; see grasps/admission.py for the rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Draws a scene: the object at rest, obstacles in its way, targets where it would stay; which grasps work is grasp_admission's."""
+"""Draws a scene: the object at rest, obstacles in its way, targets where it would stay; see grasps/admission.py for which grasps work."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from objects.object_model import ObjectModel
 from pipelines import laws
 from pipelines.codecs import Row, pose_row
 from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
-from pipelines.scenes.draws import Draws, Placed, SceneSamplingParams, draw_object, draw_obstacle, draw_target, is_relevant
+from pipelines.scenes.draws import Arrangement, Draws, Placed, SceneSamplingParams, draw_object, draw_obstacle, draw_target, is_relevant
 from pipelines.scenes.reach import OpenHands
 from pipelines.stage import Stage, Unit, UnitResult, timing_row
-from pipelines.values import Obstacle
+from tables.errors import PlaceBenchError
 from tables.identity import parse_scene_id
 from tables.poses import pose_columns
 from tables.schemas import OBSTACLES, SCENE_ATTEMPTS, SCENES, TARGETS
@@ -21,7 +21,7 @@ from tables.schemas import OBSTACLES, SCENE_ATTEMPTS, SCENES, TARGETS
 __all__ = ["SceneError", "SceneSamplingParams", "SceneTables", "sample_scene"]
 
 
-class SceneError(RuntimeError):
+class SceneError(PlaceBenchError, RuntimeError):
     """No valid scene within the attempts; names the scene and what was rejected last."""
 
 
@@ -51,7 +51,7 @@ def sample_scene(
             scene = _attempt(Draws(object_model, scene_id, attempt, params, seed, world, hands, tables.scene_attempts), n_obstacles)
             if scene is None:
                 continue
-            _add_rows(tables, object_model, scene_id, attempt, *scene)
+            _add_rows(tables, object_model, scene_id, attempt, scene)
             return tables
     last = tables.scene_attempts[-1]
     raise SceneError(
@@ -59,32 +59,24 @@ def sample_scene(
     )
 
 
-def _add_rows(
-    tables: SceneTables,
-    object_model: ObjectModel,
-    scene_id: str,
-    attempt: int,
-    start: Placed,
-    obstacles: list[Obstacle],
-    targets: list[Placed],
-) -> None:
+def _add_rows(tables: SceneTables, object_model: ObjectModel, scene_id: str, attempt: int, scene: Arrangement) -> None:
     tables.scenes.append(
         {
             "scene_id": scene_id,
             "scene_index": parse_scene_id(scene_id)[1],
             "object_id": object_model.object_id,
             "category": object_model.category,
-            "n_obstacles": len(obstacles),
-            "stable_pose_id": start.rest.stable_pose_id,
-            **_pose_columns("object", start),
+            "n_obstacles": len(scene.obstacles),
+            "stable_pose_id": scene.start.rest.stable_pose_id,
+            **_pose_columns("object", scene.start),
             "n_attempts": attempt + 1,
         }
     )
-    for obstacle in obstacles:
+    for obstacle in scene.obstacles:
         size = dict(zip(("size_x_m", "size_y_m", "size_z_m"), obstacle.size_m.tolist(), strict=True))
         pose = pose_row("obstacle", obstacle.T_base_obstacle)
         tables.obstacles.append({"scene_id": scene_id, "obstacle_id": obstacle.obstacle_id, **pose, **size})
-    for target_id, target in enumerate(targets):
+    for target_id, target in enumerate(scene.targets):
         tables.targets.append(
             {
                 "scene_id": scene_id,
@@ -102,28 +94,27 @@ def _pose_columns(prefix: str, placed: Placed) -> Row:
     return dict(zip(pose_columns(prefix), placed.pose.tolist(), strict=True))
 
 
-def _attempt(draws: Draws, n_obstacles: int) -> tuple[Placed, list[Obstacle], list[Placed]] | None:
+def _attempt(draws: Draws, n_obstacles: int) -> Arrangement | None:
     """Object, then obstacles around it, then targets around both; None where one of them finds no place."""
     start = draws.first_valid("object", partial(draw_object, draws))
     if start is None:
         return None
-    obstacles: list[Obstacle] = []
+    scene = Arrangement(start)
     for k in range(n_obstacles):
-        obstacle = draws.first_valid(f"obstacle-{k}", partial(draw_obstacle, draws.params, k, start, obstacles))
+        obstacle = draws.first_valid(f"obstacle-{k}", partial(draw_obstacle, draws.params, scene))
         if obstacle is None:
             return None
-        obstacles.append(obstacle)
-    targets: list[Placed] = []
+        scene.obstacles.append(obstacle)
     for k in range(draws.params.n_targets):
-        target = draws.first_valid(f"target-{k}", partial(draw_target, draws, k, start, obstacles, targets))
+        target = draws.first_valid(f"target-{k}", partial(draw_target, draws, scene))
         if target is None:
             return None
-        targets.append(target)
-    for obstacle in obstacles:
-        if not is_relevant(obstacle, start, targets, draws.params):
+        scene.targets.append(target)
+    for obstacle in scene.obstacles:
+        if not is_relevant(obstacle, scene, draws.params):
             draws.reject(f"obstacle-{obstacle.obstacle_id}", draws.params.max_draws, "in nobody's way")
             return None
-    return start, obstacles, targets
+    return scene
 
 
 def run(unit: Unit) -> UnitResult:

@@ -14,18 +14,22 @@ from objects.object_model import ObjectModel
 Xy = Float[np.ndarray, "2"]
 Polygon = Float[np.ndarray, "n 2"]
 
+# Beside an object is no further than this from its centre.
+_FURTHEST_M = 0.5
 _RECTANGLE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
 def footprint(object_model: ObjectModel, T_base_object: Float[np.ndarray, "4 4"]) -> Polygon:
     """Convex outline of an object, counter-clockwise, metres."""
     xy = object_model.mesh.vertices_m @ T_base_object[:2, :3].T + T_base_object[:2, 3]
-    return xy[ConvexHull(xy).vertices]
+    outline: Polygon = xy[ConvexHull(xy).vertices]
+    return outline
 
 
 def box_footprint(T_base_box: Float[np.ndarray, "4 4"], size_m: Float[np.ndarray, "3"]) -> Polygon:
     """Outline of a box that stands upright, counter-clockwise, metres."""
-    return (_RECTANGLE * size_m[:2]) @ T_base_box[:2, :2].T + T_base_box[:2, 3]
+    outline: Polygon = (_RECTANGLE * size_m[:2]) @ T_base_box[:2, :2].T + T_base_box[:2, 3]
+    return outline
 
 
 def standing(xy: Xy, yaw_rad: float, height_m: float = 0.0) -> Float[np.ndarray, "4 4"]:
@@ -47,17 +51,14 @@ def gap_m(a: Polygon, b: Polygon) -> float:
     return float(np.maximum(along_b.min(axis=1) - along_a.max(axis=1), along_a.min(axis=1) - along_b.max(axis=1)).max())
 
 
-def beside(
-    centre_xy: Xy, fixed: Polygon, moved: Callable[[Xy], Polygon], angle_rad: float, wanted_gap_m: float, reach_m: float = 0.5
-) -> Xy:
+def beside(centre_xy: Xy, fixed: Polygon, moved: Callable[[Xy], Polygon], angle_rad: float, wanted_gap_m: float) -> Xy:
     """Where something is so far out from `centre_xy` in a direction that its outline leaves `wanted_gap_m` to a fixed one.
 
     Args:
         moved: outline of what is placed, at a spot.
-        reach_m: furthest spot considered.
     """
     direction = np.array([math.cos(angle_rad), math.sin(angle_rad)])
-    low_m, high_m = 0.0, reach_m
+    low_m, high_m = 0.0, _FURTHEST_M
     for _ in range(12):  # bisection to 0.1 mm
         middle_m = (low_m + high_m) / 2
         if gap_m(fixed, moved(centre_xy + middle_m * direction)) < wanted_gap_m:
@@ -83,4 +84,5 @@ def is_in_sector(xy: Xy, radius_m: tuple[float, float], angle_rad: tuple[float, 
 def _normals(outline: Polygon) -> Polygon:
     edges = np.roll(outline, -1, axis=0) - outline
     normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    unit: Polygon = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    return unit

@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 
 from model.settings import LIGHT, RankerSettings
+from model.training import train
+from tests.model.commands import Commands
+from tests.model.damage import copy_of
 from tests.model.synthetic_release import write_synthetic_release
 
 TINY = replace(
@@ -34,3 +37,26 @@ def tiny() -> RankerSettings:
 def small_release(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Five scenes: three to train on, one validation, one test."""
     return write_synthetic_release(tmp_path_factory.mktemp("small"), n_scenes=5, seed=3, n_points=160)
+
+
+@pytest.fixture(scope="session")
+def checkpoint(small_release: Path, tiny: RankerSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A full ranker of seed 7, trained on `small_release`; damage copies of it."""
+    return train(small_release, "full", 7, tiny, tmp_path_factory.mktemp("checkpoint")).checkpoint_dir
+
+
+@pytest.fixture
+def release(small_release: Path, tmp_path: Path) -> Path:
+    """A copy of `small_release` to damage."""
+    return copy_of(small_release, tmp_path / "release")
+
+
+@pytest.fixture
+def copy(checkpoint: Path, tmp_path: Path) -> Path:
+    """A copy of `checkpoint` to damage."""
+    return copy_of(checkpoint, tmp_path / "checkpoint")
+
+
+@pytest.fixture
+def commands(release: Path, checkpoint: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Commands:
+    return Commands(release, checkpoint, tmp_path, capfd)

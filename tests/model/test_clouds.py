@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from model.clouds import ball_query, farthest_point_order, grouped_clouds, sample_cloud
-from model.inputs import ENVIRONMENT, OBJECT, OBSTACLE, TARGET, InputError, ReleaseInputs, SceneCloud
+from model.errors import InputError
+from model.inputs import ENVIRONMENT, OBJECT, OBSTACLE, TARGET, ReleaseInputs, SceneCloud
 from model.settings import RankerSettings
 from tables.poses import inverse, matrix_of
 

@@ -12,15 +12,14 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
+from model.errors import ForbiddenColumnError, InputError
 from model.inputs import (
     FIVE_INPUTS,
     FORBIDDEN_COLUMNS,
     KEY_COLUMNS,
-    ForbiddenColumnError,
-    InputError,
+    InputReader,
     ReleaseInputs,
     check_columns,
-    read_columns,
     read_inputs,
     restricted,
     scenes_of_split,
@@ -35,13 +34,13 @@ _KEYS = {"scene_id", "target_id", "grasp_id", "candidate_id"}
 @pytest.mark.parametrize("column", LABEL_COLUMNS)
 def test_every_label_column_is_forbidden(small_release: Path, column: str) -> None:
     with pytest.raises(ForbiddenColumnError, match=rf"candidates\.{column}: known only after"):
-        read_columns(small_release, "candidates", ["candidate_id", column])
+        InputReader(small_release).columns("candidates", ["candidate_id", column])
 
 
 @pytest.mark.parametrize("column", [name for name in PICK_LIFT.names if name not in _KEYS])
 def test_every_pick_lift_column_is_forbidden(small_release: Path, column: str) -> None:
     with pytest.raises(ForbiddenColumnError, match=rf"grasps\.{column}: known only after"):
-        read_columns(small_release, "grasps", [column])
+        InputReader(small_release).columns("grasps", [column])
 
 
 @pytest.mark.parametrize(
@@ -92,7 +91,7 @@ def test_inputs_do_not_change_when_everything_outside_the_contract_does(small_re
                 n_scrambled += 1
         pq.write_table(table, path)
     assert n_scrambled > 100
-    _assert_same(read_inputs(small_release), read_inputs(copy))
+    _assert_same(read_inputs(InputReader(small_release)), read_inputs(InputReader(copy)))
 
 
 def test_inputs_do_not_depend_on_the_order_of_rows(small_release: Path, tmp_path: Path) -> None:
@@ -102,18 +101,18 @@ def test_inputs_do_not_depend_on_the_order_of_rows(small_release: Path, tmp_path
         table = pq.read_table(path)
         if path.stem != "scene_points":  # their order is settled in clouds.py, by geometry
             pq.write_table(table.take(pa.array(rng.permutation(table.num_rows))), path)
-    _assert_same(read_inputs(small_release), read_inputs(copy))
+    _assert_same(read_inputs(InputReader(small_release)), read_inputs(InputReader(copy)))
 
 
 def test_object_relative_pose_closes_the_triangle_with_the_initial_object(small_release: Path) -> None:
-    inputs = read_inputs(small_release)
+    inputs = read_inputs(InputReader(small_release))
     scene = inputs.group_scene[inputs.candidate_group]
     T_base_object = np.stack([cloud.T_base_object for cloud in inputs.clouds])[scene]
     np.testing.assert_allclose(inputs.T_base_grasp @ inputs.T_grasp_object, T_base_object, atol=1e-12)
 
 
 def test_candidates_are_joined_to_their_own_grasp_and_target(small_release: Path) -> None:
-    inputs = read_inputs(small_release)
+    inputs = read_inputs(InputReader(small_release))
     candidates = {row["candidate_id"]: row for row in pq.read_table(small_release / "candidates.parquet").to_pylist()}
     targets = {(r["scene_id"], r["target_id"]): r for r in pq.read_table(small_release / "targets.parquet").to_pylist()}
     grasps = {(r["scene_id"], r["grasp_id"]): r for r in pq.read_table(small_release / "grasps.parquet").to_pylist()}
@@ -127,17 +126,17 @@ def test_candidates_are_joined_to_their_own_grasp_and_target(small_release: Path
 
 
 def test_restricting_equals_reading_less(small_release: Path) -> None:
-    train = scenes_of_split(small_release, "train")
-    inputs = read_inputs(small_release)
+    train = scenes_of_split(InputReader(small_release), "train")
+    inputs = read_inputs(InputReader(small_release))
     groups = np.array([g for g, scene in enumerate(inputs.group_scene) if inputs.clouds[scene].scene_id in train])
-    _assert_same(restricted(inputs, groups), read_inputs(small_release, train))
+    _assert_same(restricted(inputs, groups), read_inputs(InputReader(small_release), train))
 
 
 def test_a_missing_table_is_named(small_release: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(small_release, tmp_path / "release"))
     (copy / "targets.parquet").unlink()
     with pytest.raises(InputError, match=r"targets\.parquet: missing"):
-        read_inputs(copy)
+        read_inputs(InputReader(copy))
 
 
 def test_a_candidate_without_its_grasp_is_named(small_release: Path, tmp_path: Path) -> None:
@@ -145,7 +144,7 @@ def test_a_candidate_without_its_grasp_is_named(small_release: Path, tmp_path: P
     grasps = pq.read_table(copy / "grasps.parquet")
     pq.write_table(grasps.filter(pc.not_equal(grasps["scene_id"].cast(pa.string()), "full-0001")), copy / "grasps.parquet")
     with pytest.raises(InputError, match=r"grasps: no row \('full-0001', \d+\)"):
-        read_inputs(copy)
+        read_inputs(InputReader(copy))
 
 
 def test_an_object_that_no_camera_saw_is_named(small_release: Path, tmp_path: Path) -> None:
@@ -156,7 +155,7 @@ def test_an_object_that_no_camera_saw_is_named(small_release: Path, tmp_path: Pa
     )
     pq.write_table(points.filter(pc.invert(hidden)), copy / "scene_points.parquet")
     with pytest.raises(InputError, match="full-0002 has no object point"):
-        read_inputs(copy)
+        read_inputs(InputReader(copy))
 
 
 def _assert_same(a: ReleaseInputs, b: ReleaseInputs) -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from model.batches import EncodedRelease, encode_release, model_input
-from model.inputs import ReleaseInputs, read_inputs
+from model.inputs import InputReader, ReleaseInputs, read_inputs
 from model.pointnet2 import SetAbstraction
 from model.ranker import ModelInput, Prediction, Ranker, pose9
 from model.settings import RankerSettings, Variant
@@ -26,7 +26,7 @@ _FLOAT32 = {"rtol": 1e-4, "atol": 1e-4}
 
 @pytest.fixture(scope="module")
 def inputs(small_release: Path) -> ReleaseInputs:
-    return read_inputs(small_release)
+    return read_inputs(InputReader(small_release))
 
 
 @pytest.fixture(scope="module")

@@ -13,18 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from model.batches import encode_release
-from model.checkpoint import CheckpointError, load_checkpoint
-from model.inputs import read_inputs, restricted
+from model.checkpoint import load_checkpoint
+from model.errors import CheckpointError
+from model.inputs import InputReader, read_inputs, restricted
 from model.scoring import decision_times, main, predict, score, success_at_1
-from model.settings import RankerSettings
-from model.training import train
 from tables.schemas import PREDICTIONS
 from tables.store import check_table, content_hash, read_table
-
-
-@pytest.fixture(scope="module")
-def checkpoint(small_release: Path, tiny: RankerSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return train(small_release, "full", 7, tiny, tmp_path_factory.mktemp("checkpoint")).checkpoint_dir
 
 
 def test_every_candidate_of_every_split_is_scored_once(small_release: Path, checkpoint: Path) -> None:
@@ -46,7 +40,7 @@ def test_scoring_twice_gives_the_same_table(small_release: Path, checkpoint: Pat
 
 def test_a_group_scored_alone_has_the_scores_it_has_among_others(small_release: Path, checkpoint: Path) -> None:
     ranker, identity, _ = load_checkpoint(checkpoint)
-    inputs = read_inputs(small_release)
+    inputs = read_inputs(InputReader(small_release))
     together = encode_release(inputs, identity.settings, identity.variant)
     among = predict(ranker, together, np.arange(len(inputs.group_scene))).score.numpy()
     for group in (0, 9, len(inputs.group_scene) - 1):
@@ -57,7 +51,7 @@ def test_a_group_scored_alone_has_the_scores_it_has_among_others(small_release: 
 
 def test_decision_times_cover_the_groups_of_the_split(small_release: Path, checkpoint: Path) -> None:
     times = decision_times(small_release, checkpoint, split="test")
-    inputs = read_inputs(small_release, ["full-0004"])
+    inputs = read_inputs(InputReader(small_release), ["full-0004"])
     joint, fixed = ([t for t in times if t.task == task] for task in ("joint", "fixed"))
     assert [(t.scene_id, t.n_candidates) for t in joint] == [("full-0004", len(inputs.candidate_ids))]
     assert [t.target_id for t in fixed] == inputs.group_target_id.tolist()
@@ -101,5 +95,5 @@ def test_command_line_writes_predictions_or_says_why_not(
     out = tmp_path / "predictions.parquet"
     assert main(["--release", str(small_release), "--checkpoint", str(checkpoint), "--out", str(out)]) == 0
     assert content_hash(read_table(PREDICTIONS, out, verify=True)) == content_hash(score(small_release, checkpoint))
-    assert main(["--release", str(small_release), "--checkpoint", str(tmp_path), "--out", str(out)]) == 2
+    assert main(["--release", str(small_release), "--checkpoint", str(tmp_path), "--out", str(out)]) == 1
     assert "ranker.json: missing" in capsys.readouterr().err

@@ -15,16 +15,20 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
+import safetensors.torch
+import torch
 
 from model.batches import scene_batches
-from model.checkpoint import CheckpointError
-from model.inputs import read_inputs
+from model.errors import CheckpointError, RankerError, SettingsError, TrainingError
+from model.inputs import InputReader, read_inputs
 from model.labels import read_labels
+from model.optimisation import HistoryRow, learning_rate_at, quality_of
 from model.scoring import score, success_at_1
-from model.settings import LIGHT, RankerError, RankerSettings, SettingsError, Variant, settings_from_dict, settings_to_dict
-from model.training import HistoryRow, TrainingError, learning_rate_at, main, quality_of, train
+from model.settings import LIGHT, RankerSettings, Variant, settings_from_dict, settings_to_dict
+from model.training import main, train
 from tables.schemas import CANDIDATES
 from tables.store import read_table, write_table
+from tests.model.damage import rewrite
 from tests.model.synthetic_release import write_synthetic_release
 
 
@@ -92,13 +96,47 @@ def test_a_broken_resume_state_is_an_error(small_release: Path, tiny: RankerSett
         train(small_release, "full", 5, tiny, tmp_path, resume=True)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("weights/exec_head.bias", torch.zeros(2), r"exec_head.bias is torch.float32 \[2\], its settings need torch.float32 \[1\]"),
+        ("best/exec_head.bias", None, "exec_head.bias is missing from a ranker of variant full"),
+        ("best/exec_head.bias", torch.tensor([torch.nan]), "exec_head.bias has values that are not finite"),
+        ("moments/exec_head.bias/exp_avg", torch.zeros(2), "moments of exec_head.bias"),
+        ("moments/exec_head.bias/exp_avg_sq", None, "moments of exec_head.bias"),
+    ],
+)
+def test_a_resume_state_that_does_not_fit_is_an_error(
+    small_release: Path, tiny: RankerSettings, tmp_path: Path, name: str, value: torch.Tensor | None, message: str
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        train(small_release, "full", 5, tiny, tmp_path, on_epoch=_interrupt_after(0))
+    path = tmp_path / "resume.safetensors"
+    with safetensors.safe_open(path, framework="pt") as stored:
+        metadata, tensors = stored.metadata(), {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118 (not a mapping)
+    tensors = {key: tensor for key, tensor in tensors.items() if key != name} | ({} if value is None else {name: value})
+    path.write_bytes(safetensors.torch.save(tensors, metadata))
+    with pytest.raises(CheckpointError, match=rf"resume\.safetensors: {message}"):
+        train(small_release, "full", 5, tiny, tmp_path, resume=True)
+
+
+def test_a_state_killed_before_the_checkpoint_was_written_still_gives_it(small_release: Path, tiny: RankerSettings, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        train(small_release, "full", 5, tiny, tmp_path / "parts", on_epoch=_interrupt_after(tiny.n_epochs - 1))
+    assert train(small_release, "full", 5, tiny, tmp_path / "parts", resume=True).n_epochs_resumed == tiny.n_epochs
+    train(small_release, "full", 5, tiny, tmp_path / "whole")
+    for name in ("ranker.safetensors", "ranker.json"):
+        assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert not (tmp_path / "parts" / "resume.safetensors").exists()
+
+
 def test_test_scenes_do_not_reach_a_training(small_release: Path, tiny: RankerSettings, tmp_path: Path) -> None:
     """Without any row of the test scenes, but for their split, the weights are the same to the bit."""
     copy = Path(shutil.copytree(small_release, tmp_path / "release"))
     for path in copy.glob("*.parquet"):
         table = pq.read_table(path)
         if "scene_id" in table.column_names and path.stem != "splits":
-            pq.write_table(table.filter(pc.not_equal(table["scene_id"].cast(pa.string()), "full-0004")), path)
+            rewrite(path, table.filter(pc.not_equal(table["scene_id"].cast(pa.string()), "full-0004")))
     train(small_release, "full", 1, tiny, tmp_path / "with")
     train(copy, "full", 1, tiny, tmp_path / "without")
     assert (tmp_path / "with" / "ranker.safetensors").read_bytes() == (tmp_path / "without" / "ranker.safetensors").read_bytes()
@@ -111,7 +149,7 @@ def test_best_epoch_is_chosen_by_validation_s1_then_joint_s1_then_loss(small_rel
     assert result.best_epoch == best["epoch"]
     # The stored weights are the best epoch's: scored again, they have its S1.
     rows = {row["candidate_id"]: row["score"] for row in score(small_release, tmp_path).to_pylist()}
-    inputs = read_inputs(small_release, ["full-0003"])
+    inputs = read_inputs(InputReader(small_release), ["full-0003"])
     scores = np.array([rows[candidate_id] for candidate_id in inputs.candidate_ids])
     s1, n_covered = success_at_1(scores, read_labels(small_release, inputs.candidate_ids).success, inputs.candidate_group)
     assert (s1, n_covered) == (best["fixed_s1"], best["n_fixed_covered"])
@@ -135,20 +173,24 @@ def test_without_covered_validation_groups_the_loss_chooses(small_release: Path,
     assert result.best_epoch == min(result.history, key=lambda row: row["validation_loss"])["epoch"]
 
 
-def test_without_validation_scenes_the_last_epoch_is_taken(small_release: Path, tiny: RankerSettings, tmp_path: Path) -> None:
-    result = train(_with_splits(small_release, tmp_path / "release", "validation", "test"), "full", 1, tiny, tmp_path / "ranker")
-    assert result.selected_by == "last epoch (no validation scenes)"
-    assert result.best_epoch == tiny.n_epochs - 1
-
-
-def test_an_empty_train_split_is_an_error(small_release: Path, tiny: RankerSettings, tmp_path: Path) -> None:
-    with pytest.raises(TrainingError, match="train split has no candidates"):
-        train(_with_splits(small_release, tmp_path / "release", "train", "test"), "full", 1, tiny, tmp_path / "ranker")
+@pytest.mark.parametrize("split", ["train", "validation"])
+def test_an_empty_split_is_an_error(small_release: Path, tiny: RankerSettings, tmp_path: Path, split: str) -> None:
+    with pytest.raises(TrainingError, match=f"the {split} split has 0 candidates, must have at least 1"):
+        train(_with_splits(small_release, tmp_path / "release", split, "test"), "full", 1, tiny, tmp_path / "ranker")
+    assert not (tmp_path / "ranker").exists()
 
 
 def test_a_diverging_training_is_an_error(small_release: Path, tiny: RankerSettings, tmp_path: Path) -> None:
-    with pytest.raises(TrainingError, match=r"step \d+: loss (nan|inf), must be finite"):
+    with pytest.raises(TrainingError, match=r"step \d+: loss (nan|inf), must be finite; lower learning_rate \(1e\+30\)"):
         train(small_release, "full", 1, replace(tiny, learning_rate=1e30, n_epochs=20), tmp_path)
+
+
+def test_a_training_that_diverges_in_its_last_step_is_an_error(small_release: Path, tiny: RankerSettings, tmp_path: Path) -> None:
+    """With one step an epoch the loss before it is finite; only the validation scenes see the weights after it."""
+    one_step = replace(tiny, learning_rate=1e30, n_epochs=1, scenes_per_batch=3)
+    with pytest.raises(TrainingError, match=r"epoch 0: validation loss (nan|inf), must be finite; lower learning_rate \(1e\+30\)"):
+        train(small_release, "full", 1, one_step, tmp_path / "ranker")
+    assert not (tmp_path / "ranker").exists()
 
 
 @pytest.mark.parametrize(
@@ -158,12 +200,16 @@ def test_a_diverging_training_is_an_error(small_release: Path, tiny: RankerSetti
         (["--setting", "huge"], "setting 'huge', must be one of"),
         (["--epochs", "0"], "n_epochs: 0, must be above 0"),
         (["--device", "abacus"], "device 'abacus', must be auto, cpu or cuda"),
-        ([], "candidates.parquet: missing"),
+        (["--seed", "2147483648"], "seed: 2147483648, must be a whole number in [-2147483648, 2147483647]"),
+        ([], "splits.parquet: missing"),
     ],
 )
 def test_command_line_says_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str) -> None:
-    assert main(["--release", str(tmp_path), "--out", str(tmp_path / "out"), *arguments]) == 2
-    assert message in capsys.readouterr().err
+    assert main(["--release", str(tmp_path), "--out", str(tmp_path / "out"), *arguments]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    assert message in line
+    assert not (tmp_path / "out").exists()
 
 
 def test_every_scene_comes_once_an_epoch_in_an_order_of_seed_and_epoch(tiny: RankerSettings) -> None:
@@ -189,7 +235,8 @@ def test_learning_rate_warms_up_and_ends_near_zero() -> None:
 
 def test_settings_survive_json_and_refuse_what_cannot_be() -> None:
     assert settings_from_dict(json.loads(json.dumps(settings_to_dict(LIGHT)))) == LIGHT
-    for change in ({"dropout": 1.0}, {"n_points": 510}, {"n_centres_1": 500}, {"learning_rate": float("nan")}, {"widths_1": (8,)}):
+    changes = ({"dropout": 1.0}, {"n_points": 510}, {"n_centres_1": 500}, {"learning_rate": float("nan")}, {"widths_1": (8,)})
+    for change in (*changes, {"learning_rate": float("inf")}, {"crop_centre_m": (float("nan"), 0.0, 0.0)}):
         with pytest.raises(SettingsError, match=next(iter(change))):
             replace(LIGHT, **change)
     with pytest.raises(SettingsError, match="momentum"):
@@ -203,7 +250,7 @@ def _with_splits(release: Path, copy: Path, old: str, new: str) -> Path:
     shutil.copytree(release, copy)
     splits = pq.read_table(copy / "splits.parquet")
     names = [new if name == old else name for name in splits["split"].to_pylist()]
-    pq.write_table(pa.table({"scene_id": splits["scene_id"], "split": names}), copy / "splits.parquet")
+    rewrite(copy / "splits.parquet", pa.table({"scene_id": splits["scene_id"], "split": names}))
     return copy
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from objects.catalogue import CanShape, CuboidShape, MeshShape, MugShape, load_catalogue
+from objects.catalogue import CanShape, CuboidShape, MeshShape, MugShape, catalogue_hash, load_catalogue
 from objects.errors import CatalogueError, ObjectError
 from tables.vocabulary import Category, Symmetry
 
@@ -127,3 +127,20 @@ def test_a_file_that_is_no_catalogue_is_refused(tmp_path: Path, text: str, said:
 def test_a_missing_file_is_refused_within_the_exception_family(tmp_path: Path) -> None:
     with pytest.raises(ObjectError, match=r"nowhere\.toml"):
         load_catalogue(tmp_path / "nowhere.toml")
+
+
+def test_the_hash_of_a_catalogue_knows_what_was_parsed_and_nothing_else(tmp_path: Path) -> None:
+    first = catalogue_hash(load_catalogue(write(tmp_path, CAN, BOX)))
+    path = write(tmp_path, dict(reversed(CAN.items())), BOX)
+    path.write_text("# a comment\n" + path.read_text().replace("mass_kg = 0.3", "mass_kg   = 0.30"))
+    assert catalogue_hash(load_catalogue(path)) == first
+    others = [
+        (BOX, CAN),
+        (CAN,),
+        ({**CAN, "mass_kg": "0.31"}, BOX),
+        ({**CAN, "name": '"another tin"'}, BOX),
+        (CAN, {**BOX, "friction": "0.7"}),
+    ]
+    hashes = {catalogue_hash(load_catalogue(write(tmp_path, *entries))) for entries in others}
+    assert len(hashes | {first}) == 1 + len(others)
+    assert all(len(value) == 64 for value in hashes)

@@ -39,7 +39,7 @@ def test_every_field_of_an_entry_counts(field: str) -> None:
     [
         (dataclasses.replace(PARAMS, decomposition=DecompositionParams(max_parts=31)), 1),
         (dataclasses.replace(PARAMS, stable_poses=StablePoseParams(merge_rad=0.15)), 1),
-        (dataclasses.replace(PARAMS, grasp_pool=GraspPoolParams(friction=0.32)), 1),
+        (dataclasses.replace(PARAMS, grasp_pool=GraspPoolParams(friction=0.4)), 1),
         # The same shares in another order: ties between kinds are broken by it.
         (dataclasses.replace(PARAMS, grasp_pool=GraspPoolParams(shares=dict(reversed(PARAMS.grasp_pool.shares.items())))), 1),
         (PARAMS, 2),

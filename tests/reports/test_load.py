@@ -8,20 +8,21 @@ import pytest
 
 from reports.load import Task, candidate_frame, group_frame, load_release
 from reports.report import ReportError
+from splits.errors import ReleaseError
 from splits.release import write_release
 from tables.identity import order_key
-from tables.store import StoreError
 from tests.model.synthetic_release import TOLERANCES
+from tests.splits.damage import PROVENANCE
 
 
 def test_a_release_is_read_back(release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
-    write_release(release_tables, tmp_path, "pilot", "0.1.0", {"recipe_hash": "x"}, **TOLERANCES)
+    write_release(release_tables, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
     loaded = load_release(tmp_path)
     assert loaded.keys() == release_tables.keys()
     assert all(loaded[name].equals(release_tables[name]) for name in loaded)
     assert load_release(tmp_path, ["scenes"]).keys() == {"scenes"}
     (tmp_path / "grasps.parquet").unlink()
-    with pytest.raises(StoreError, match=r"grasps\.parquet"):
+    with pytest.raises(ReleaseError, match=r"grasps\.parquet"):
         load_release(tmp_path)
 
 

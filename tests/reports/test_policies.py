@@ -80,7 +80,7 @@ def test_random_succeeds_as_often_as_chance(release_tables: dict[str, pa.Table])
         values.append(estimate.value)
     expected = expected_random_success(ranks, 1)
     assert expected is not None
-    n_covered = ranks["first_success"].is_not_null().sum()
+    n_covered = int(ranks["first_success"].is_not_null().sum())
     assert n_covered > 300
     # Four standard errors of a binomial of that many draws.
     assert abs(sum(values) / 40 - expected) < 4 * math.sqrt(expected * (1 - expected) / (40 * n_covered))
@@ -89,7 +89,7 @@ def test_random_succeeds_as_often_as_chance(release_tables: dict[str, pa.Table])
 def test_a_learned_policy_needs_every_score(frame: pl.DataFrame, predictions: pa.Table) -> None:
     with pytest.raises(ReportError, match=r"full-0000-t0-g.. has none"):
         ranked(frame.drop("score"), RANKER, Task.JOINT)
-    first = frame["candidate_id"].min()
+    first = str(frame["candidate_id"].min())
     unscored = frame.with_columns(pl.when(pl.col("candidate_id") == first).then(None).otherwise(pl.col("score")).alias("score"))
     with pytest.raises(ReportError, match=rf"{first} has none \(1 candidates"):
         ranked(unscored, RANKER, Task.FIXED)

@@ -51,7 +51,7 @@ def with_twin(tables: dict[str, pa.Table], shift_m: float, turn_rad: float, spli
 
 
 def split_in(tables: dict[str, pa.Table], scene_id: str) -> str:
-    return next(row["split"] for row in tables["splits"].to_pylist() if row["scene_id"] == scene_id)
+    return str(next(row["split"] for row in tables["splits"].to_pylist() if row["scene_id"] == scene_id))
 
 
 def test_a_sound_release_has_no_leak(release_tables: dict[str, pa.Table]) -> None:

@@ -1,4 +1,4 @@
-"""Puts table, boxes, object and Panda into a PyBullet client, with the materials and motors of the recipe; worlds are world's."""
+"""Puts table, boxes, object and Panda into a PyBullet client, with the materials and motors of the recipe; see world.py for the world."""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from tables.errors import PlaceBenchError
 
-class PhysicsError(RuntimeError):
+
+class PhysicsError(PlaceBenchError, RuntimeError):
     """The engine refused its input or produced what no label can be made of; names the object, scene, grasp or candidate."""

@@ -1,4 +1,4 @@
-"""Does an object stay where it is put? Lone objects on a bare table; executing placements is rollout's and the stages'."""
+"""Does an object stay where it is put? Lone objects on a bare table; see labels/execution.py for placements."""
 
 from __future__ import annotations
 

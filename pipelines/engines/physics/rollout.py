@@ -1,4 +1,4 @@
-"""Motions run in a physics world: follow a trajectory, hold, close, open, settle, and watch what happens; verdicts are the stages'."""
+"""Motions run in a physics world: follow a trajectory, hold, close, open, settle, and watch what happens; stages judge it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def hold(world: PhysicsWorld, phase: Phase, duration_s: float, watch: Watch = no
     return True
 
 
-def close_fingers(world: PhysicsWorld, max_s: float, watch: Watch = no_watch) -> bool:
+def close_fingers(world: PhysicsWorld, max_s: float) -> bool:
     """Close until both fingers press on the object in two checks in a row, then grip; False where they never do."""
     every = world.params.check_every_steps
     world.command_fingers(-world.params.finger_speed_m_s)
@@ -40,8 +40,6 @@ def close_fingers(world: PhysicsWorld, max_s: float, watch: Watch = no_watch) ->
         world.step()
         if k % every == 0:
             n_pressing = n_pressing + 1 if pressing_fingers(world) == 2 else 0
-            if watch(Phase.CLOSE):
-                return False
             if n_pressing >= 2:
                 world.grip()
                 return True

@@ -1,4 +1,4 @@
-"""One physics world: table, obstacles, object and Panda in a PyBullet client of its own; motions and verdicts are rollout's.
+"""One physics world: table, obstacles, object and Panda in a PyBullet client of its own; see rollout.py for motions.
 
 A state is never saved and restored (Bullet's restore is not reproducible): `rebuild` makes the world anew in a fixed order, and
 what follows is bit-identical in any order and process.
@@ -109,7 +109,7 @@ class PhysicsWorld:
             self._ids["robot"] = self._robot.body
 
     def remove_robot(self) -> None:
-        """Take the arm out of the world: what the object does from here on is its own affair, at a third of the cost."""
+        """Take the arm out of the world: the object moves on alone, at a third of the cost."""
         robot = self._ids.pop("robot", None)
         if robot is not None:
             pybullet.removeBody(robot, physicsClientId=self._client)
@@ -153,12 +153,8 @@ class PhysicsWorld:
         pose = np.array([*position, *quaternion])
         if not np.all(np.isfinite(pose)) or np.abs(pose[:3]).max() > 1e3:
             raise PhysicsError(f"{self._label}: object pose {pose.tolist()} after {self.n_steps} steps, must be finite and within 1000 m")
-        return matrix_of(pose) @ self._T_mass_object
-
-    def object_speed(self) -> tuple[float, float]:
-        """Speed of the centre of mass in m/s and rate of turn in rad/s."""
-        v, w = pybullet.getBaseVelocity(self._ids["object"], physicsClientId=self._client)
-        return float(np.linalg.norm(v)), float(np.linalg.norm(w))
+        T_base_object: Float[np.ndarray, "4 4"] = matrix_of(pose) @ self._T_mass_object
+        return T_base_object
 
     def set_arm(self, q: Float[np.ndarray, "7"], fingers_m: Sequence[float]) -> None:
         """Put arm and fingers (opening of each) at rest at a configuration and command both to stay."""
@@ -211,7 +207,8 @@ class PhysicsWorld:
 
     def inhand_pose(self) -> Float[np.ndarray, "4 4"]:
         """T_tcp_object, measured."""
-        return inverse(self.tcp_pose()) @ self.object_pose()
+        T_tcp_object: Float[np.ndarray, "4 4"] = inverse(self.tcp_pose()) @ self.object_pose()
+        return T_tcp_object
 
     def force_n(self, body: str, other: str, link: str | None = None) -> float:
         """Sum of normal contact forces between two bodies in the last step, in newton.
@@ -221,11 +218,7 @@ class PhysicsWorld:
             other: "object", "table", "obstacle 0", ...
             link: only this link of the robot.
         """
-        return sum(point[9] for point in self._points(body, other, link))
-
-    def deepest_contact_m(self, body: str, other: str) -> float:
-        """Largest penetration between two bodies in the last step, in metres; 0 without contact."""
-        return max((-point[8] for point in self._points(body, other, None)), default=0.0)
+        return float(sum(point[9] for point in self._points(body, other, link)))
 
     def is_clear(self, gap_m: float) -> bool:
         """Whether robot and object are further apart than a gap."""

@@ -1,4 +1,4 @@
-"""Rigid bodies without an arm: the hand, the object, and the table and obstacles they may touch; the arm is collision's."""
+"""Rigid bodies without an arm: the hand, the object, and the table and obstacles around them; see collision.py for the arm."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pipelines.engines.robot.geometry import convex, convex_box, lowest_m, moved
 from pipelines.values import Scene
 from tables.poses import inverse
 
-# Arm, hand and a carried object keep this far from table and obstacles: the arm follows its path within 1 mm, and physics' hulls are
+# Arm, hand and a carried object keep this far from table and obstacles: the arm follows its path within 1 mm, and the hulls of physics are
 # up to 1 mm thick. Plans that graze by a hair would be failures of the engines, not of the task.
 CLEARANCE_M = 0.001
 
@@ -51,7 +51,7 @@ def hand_body(jaw_m: float, sweep_m: float = 0.0) -> Body:
 
 @lru_cache(maxsize=16)
 def _palm(sweep_m: float) -> tuple[coal.CollisionGeometry, Float[np.ndarray, "v 3"]]:
-    """The same for every opening, and its hull costs five times the fingers'."""
+    """The same for every opening, and its hull costs five times those of the fingers."""
     robot = panda()
     vertices = _swept(moved(inverse(robot.T_link7_tcp), robot.hand.vertices_m), sweep_m)
     return convex(vertices), vertices
@@ -92,7 +92,8 @@ class Box:
         """Distance of points from the box; 0 inside."""
         local = np.einsum("...i,ij->...j", points - self.T_base_box[:3, 3], self.T_base_box[:3, :3])
         outside = np.maximum(np.abs(local) - self.half_m, 0.0)
-        return np.sqrt((outside * outside).sum(axis=-1))
+        gap_m: Float[np.ndarray, "*n"] = np.sqrt((outside * outside).sum(axis=-1))
+        return gap_m
 
 
 class Surroundings:

@@ -1,4 +1,4 @@
-"""How close a carried path comes to table and obstacles; whether it touches is collision's."""
+"""How close a carried path comes to table and obstacles; see collision.py for whether it collides."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A collision-free joint path from a start to the best of some goals: straight first, RRTConnect where that is blocked.
 
-Collision is behind a callable, timing is trajectory's. Budgets are counts and the random seed is the caller's, so a path depends on
-the arguments alone.
+Collision is behind a callable; see trajectory.py for timing. Budgets are counts and the random seed is an argument, so a path depends
+on the arguments alone.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
+from pipelines.engines.bounds import bounded, check_bounds
 from pipelines.engines.robot.arm import Q_LOWER_RAD, Q_UPPER_RAD
 
 InCollision = Callable[[Float[np.ndarray, "7"]], bool]
@@ -27,16 +28,15 @@ InCollision = Callable[[Float[np.ndarray, "7"]], bool]
 class SearchParams:
     """How hard to look for a path."""
 
-    edge_step_rad: float = 0.02  # largest joint step between checked configurations; 0.05 lets 1 in 100 paths graze, 0.02 none
-    range_rad: float = 1.5  # longest edge RRTConnect grows
-    max_checks: int = 20_000  # configurations checked a search: ten times as many found nothing more on a stress set
-    n_shorten_steps: int = 30  # attempts to cut a corner of a found path; the cheap reduceVertices, 0.3 ms
+    # Largest joint step between checked configurations; 0.05 lets 1 in 100 paths graze, 0.02 none.
+    edge_step_rad: float = bounded(0.02, 1e-4, 0.1)
+    range_rad: float = bounded(1.5, 0.01, 10.0)  # longest edge RRTConnect grows
+    # Configurations checked a search: ten times as many found nothing more on a stress set.
+    max_checks: int = bounded(20_000, 1, 10_000_000)
+    n_shorten_steps: int = bounded(30, 1, 10_000)  # attempts to cut a corner of a found path; the cheap reduceVertices, 0.3 ms
 
     def __post_init__(self) -> None:
-        for name, upper in (("edge_step_rad", 0.1), ("range_rad", 10.0), ("max_checks", 10_000_000), ("n_shorten_steps", 10_000)):
-            value = getattr(self, name)
-            if not 0 < value <= upper:
-                raise ValueError(f"{name} = {value}, must be in (0, {upper}]")
+        check_bounds(self)
 
 
 class CountedChecks:
@@ -99,7 +99,7 @@ def search_path(
     planner.setProblemDefinition(problem)
     planner.setup()
     last_check = checks.n_checks + params.max_checks
-    # A Python bool: numpy's raises std::bad_cast, and only once the budget is spent.
+    # A Python bool: one of numpy raises std::bad_cast, and only once the budget is spent.
     planner.solve(ob.PlannerTerminationCondition(lambda: bool(checks.n_checks >= last_check)))
     if not problem.hasExactSolution():
         return None

@@ -1,4 +1,4 @@
-"""When a joint path is where: timing of paths by ruckig within scaled joint limits and a TCP speed; finding paths is planner's.
+"""When a joint path is where: timing of paths by ruckig within scaled joint limits and a TCP speed; see planner.py for how paths are found.
 
 Every piece of a path has one scalar progress that ruckig moves from rest to rest, so the arm stays exactly on the path that was
 checked for collision (seven separate joint profiles would not).
@@ -7,13 +7,14 @@ checked for collision (seven separate joint profiles would not).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import ruckig
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
+from pipelines.engines.bounds import bounded, check_bounds
 from pipelines.engines.robot.arm import QD_MAX_RAD_S, QDD_MAX_RAD_S2, QDDD_MAX_RAD_S3, fk
 
 _SAME_RAD = 1e-9
@@ -23,19 +24,16 @@ _SAME_RAD = 1e-9
 class MotionParams:
     """How fast the arm moves."""
 
-    velocity_scale: float = 0.5  # of the joint limits: what a cell with people nearby runs at, and what the physics recipe was tuned with
-    acceleration_scale: float = 0.4  # 3 to 8 rad/s2 a joint: a third of g at the TCP, which a firm grip holds; 0.25 costs 0.8 s more
-    jerk_scale: float = 0.03  # reaches that acceleration in 27 ms, six commands of a 240 Hz controller; three times more gains nothing
-    line_speed_m_s: float = 0.2  # approach, descend and retreat: 0.10 m in 0.7 s
-    line_acceleration_m_s2: float = 1.0  # 0.2 s to line speed
-    line_jerk_m_s3: float = 20.0  # 50 ms to line acceleration
+    velocity_scale: float = bounded(1.0, 0.01, 1.0)  # shares of the rated limits of every joint
+    acceleration_scale: float = bounded(1.0, 0.01, 1.0)
+    jerk_scale: float = bounded(0.30, 0.001, 1.0)
+    # Of the TCP in approach, lift, descend and retreat, up to what the controller of the Panda allows.
+    line_speed_m_s: float = bounded(0.30, 0.001, 1.7)
+    line_acceleration_m_s2: float = bounded(1.5, 0.01, 13.0)
+    line_jerk_m_s3: float = bounded(40.0, 0.1, 6500.0)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            upper = 1.0 if field.name.endswith("_scale") else math.inf
-            if not (0.0 < value <= upper and math.isfinite(value)):
-                raise ValueError(f"{field.name} = {value}, must be in (0, {upper}] and finite")
+        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
-"""The Franka Panda arm: limits, forward and inverse kinematics, straight TCP lines; collision and timing are pipelines.engines.planning's.
+"""The Franka Panda arm: limits, forward and inverse kinematics, straight TCP lines; see engines/planning/ for collision and timing.
 
-Forward and inverse kinematics are frankik's closed forms; tests hold them against pinocchio and pybullet on the URDF.
+Forward and inverse kinematics are the closed forms of frankik; tests hold them against pinocchio and pybullet on the URDF.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from jaxtyping import Float
 from objects.gripper import TCP_FROM_HAND_M
 from tables.poses import inverse
 
-# Limits of the real Panda, Franka Control Interface documentation ("Robot and interface specifications"); pybullet's URDF has wider ones.
+# Limits of the real Panda, Franka Control Interface documentation ("Robot and interface specifications"); the URDF in pybullet_data
+# has wider ones.
 Q_LOWER_RAD = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
 Q_UPPER_RAD = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
 QD_MAX_RAD_S = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])
@@ -36,11 +37,12 @@ _T_TCP_FLANGE = inverse(T_FLANGE_TCP)
 def fk(q: Float[np.ndarray, "*n 7"]) -> Float[np.ndarray, "*n 4 4"]:
     """T_base_tcp of arm configurations in radians; limits are not checked."""
     if q.ndim == 1:
-        return frankik.fk(q)
+        T_base_tcp: Float[np.ndarray, "4 4"] = frankik.fk(q)
+        return T_base_tcp
     return np.array([frankik.fk(row) for row in q.reshape(-1, 7)]).reshape(*q.shape[:-1], 4, 4)
 
 
-def ik(T_base_tcp: Float[np.ndarray, "4 4"], n_q7: int = 32) -> Float[np.ndarray, "k 7"]:
+def ik(T_base_tcp: Float[np.ndarray, "4 4"], n_q7: int) -> Float[np.ndarray, "k 7"]:
     """All configurations within limits that reach a TCP pose, on a grid of the redundant joint 7.
 
     He and Liu, "Analytical inverse kinematics for Franka Emika Panda", 2021. Their form covers q4 < -0.467 rad.
@@ -58,24 +60,19 @@ def ik(T_base_tcp: Float[np.ndarray, "4 4"], n_q7: int = 32) -> Float[np.ndarray
     return _valid(q, T_base_tcp)
 
 
-def ik_at_q7(T_base_tcp: Float[np.ndarray, "4 4"], q7_rad: float) -> Float[np.ndarray, "k 7"]:
-    """The up to 4 configurations within limits that reach a TCP pose with joint 7 at `q7_rad`."""
-    return _valid(frankik.ik_full(T_base_tcp @ _T_TCP_FLANGE, HOME_Q_RAD, q7_rad, False), T_base_tcp)
-
-
 def follow_line(
     T_start: Float[np.ndarray, "4 4"],
     T_end: Float[np.ndarray, "4 4"],
     q_start: Float[np.ndarray, "7"],
-    max_step_m: float = 0.0025,
-    max_joint_jump_rad: float = 0.35,
+    max_step_m: float,
+    max_joint_jump_rad: float,
 ) -> Float[np.ndarray, "m 7"] | None:
     """Configurations along a straight TCP line at constant orientation and constant q7, each the branch nearest to the one before.
 
     Args:
         T_start, T_end: TCP poses in the base frame, of the same orientation.
         q_start: configuration at `T_start`; the first row of the result.
-        max_step_m: longest TCP step between rows (2.5 mm: at 5 mm several per cent of line verdicts flip).
+        max_step_m: longest TCP step between rows.
         max_joint_jump_rad: largest change of a joint in one step; more is a jump to another branch.
 
     Returns:
@@ -110,11 +107,6 @@ def follow_line(
     if np.abs(fk(q) - T).max() > IK_TOLERANCE:
         return None
     return np.concatenate([q_start[None], q])
-
-
-def within_limits(q: Float[np.ndarray, "*n 7"]) -> bool:
-    """Whether every configuration is within the joint limits."""
-    return bool(np.all((q >= Q_LOWER_RAD) & (q <= Q_UPPER_RAD)))
 
 
 def _valid(q: Float[np.ndarray, "n 7"], T_base_tcp: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "k 7"]:

@@ -1,6 +1,6 @@
-"""Collision shapes of the Panda for pinocchio and coal, made once a process; which of them may touch is planning.collision's.
+"""Collision shapes of the Panda for pinocchio and coal, made once a process; see planning/collision.py for which of them may overlap.
 
-Links and hand are convex hulls of pybullet_data's collision meshes, fingers are the boxes of objects.gripper, so that grasp pool,
+Links and hand are convex hulls of the collision meshes in pybullet_data, fingers are the boxes of objects.gripper, so that grasp pool,
 planning and physics close the same fingers.
 """
 
@@ -58,7 +58,7 @@ class Panda:
 
 @lru_cache(maxsize=1)
 def panda() -> Panda:
-    """The robot of pybullet_data's URDF."""
+    """The robot of the URDF in pybullet_data."""
     folder = Path(pybullet_data.getDataPath()) / "franka_panda"
     model = pin.buildModelFromUrdf(str(folder / "panda.urdf"))
     T_link7_hand = model.frames[model.getFrameId("panda_hand")].placement.homogeneous
@@ -91,13 +91,15 @@ def convex_box(size_m: Float[np.ndarray, "3"]) -> coal.CollisionGeometry:
 def box_corners(size_m: Float[np.ndarray, "3"]) -> Float[np.ndarray, "8 3"]:
     """Corners of a box about its centre."""
     signs = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, -1).T
-    return signs * np.asarray(size_m) / 2
+    corners_m: Float[np.ndarray, "8 3"] = signs * np.asarray(size_m) / 2
+    return corners_m
 
 
 def moved(T: Float[np.ndarray, "*t 4 4"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "*t n 3"]:
     """Points of frame b in frame a, for T_a_b."""
     # einsum, not @: BLAS adds in another order when it has another number of threads, and labels must not.
-    return np.einsum("...ij,nj->...ni", T[..., :3, :3], points) + T[..., None, :3, 3]
+    in_a: Float[np.ndarray, "*t n 3"] = np.einsum("...ij,nj->...ni", T[..., :3, :3], points) + T[..., None, :3, 3]
+    return in_a
 
 
 def lowest_m(T: Float[np.ndarray, "*t 4 4"], points: Float[np.ndarray, "n 3"]) -> float:
@@ -106,7 +108,7 @@ def lowest_m(T: Float[np.ndarray, "*t 4 4"], points: Float[np.ndarray, "n 3"]) -
 
 
 def _hull(folder: Path, name: str, joint: int, T_joint_shape: Float[np.ndarray, "4 4"]) -> Shape:
-    mesh = trimesh.load(folder / "meshes" / "collision" / f"{name}.obj", force="mesh")
+    mesh = trimesh.load_mesh(folder / "meshes" / "collision" / f"{name}.obj")
     vertices = np.asarray(mesh.convex_hull.vertices)
     return Shape(name, joint, T_joint_shape, convex(vertices), moved(T_joint_shape, vertices))
 

@@ -1,8 +1,8 @@
-"""Signed distances between the bodies of one scene by pybullet's collision engine; which may overlap is the caller's to say.
+"""Signed distances between the bodies of one scene by the collision engine of pybullet; the caller says which may overlap.
 
-Nothing is shared with engines.planning: kinematics are pybullet's on its own URDF, the arm's links the hulls that pybullet makes of
-their meshes, distances Bullet's GJK. Common are only the inputs: catalogue geometry, the scene and the finger boxes of the benchmark
-(the hull of the URDF's finger mesh sticks out of them by up to 3.6 mm).
+Nothing is shared with engines/planning: pybullet computes the kinematics from its own URDF and makes the hulls of the links from their
+meshes, Bullet measures distances by its GJK. Common are only the inputs: catalogue geometry, the scene and the finger boxes of the
+benchmark (the hull of the finger mesh in the URDF sticks out of them by up to 3.6 mm).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class Nearest:
-    """The pair with the least room: its distance less what is required, at most FAR_M less that; negative is a hit."""
+    """The pair with the least room: its distance less what is required, at most FAR_M less that; negative is a collision."""
 
     room_m: float
     pair: Pair | None
@@ -77,7 +77,7 @@ class BulletScene:
 
     Args:
         exact: the object and link6 as the triangle meshes they are instead of their convex parts and hull. A triangle mesh is hollow:
-            what is wholly inside touches nothing.
+            what is wholly inside is in no collision.
     """
 
     def __init__(self, scene: Scene, object_model: ObjectModel, *, exact: bool = False) -> None:
@@ -168,7 +168,7 @@ class BulletScene:
         pose_a, pose_b = (poses[piece.body][k if len(poses[piece.body]) > 1 else 0].tolist() for piece in (a, b))
         room_m = self._distance_m(a.number, pose_a, b.number, pose_b) - pair.required_m
         for exact, convex, (pose, other) in ((a, b, (pose_a, pose_b)), (b, a, (pose_b, pose_a))):
-            # Bullet tests triangles against convex bodies only; of two meshes each is tested against the other's hull.
+            # Bullet tests triangles against convex bodies only; of two meshes each is tested against the hull of the other.
             if room_m < 0.0 and exact.mesh_number is not None:
                 room_m = self._distance_m(exact.mesh_number, pose, convex.number, other) - pair.required_m
         return room_m
@@ -220,16 +220,18 @@ def _near(pairs: Sequence[tuple[_Piece, _Piece]], placed: Placements, n: int) ->
         centre_m[row] = T[:, :3, :3] @ piece.centre_m + T[:, :3, 3]
         half_m[row] = np.abs(T[:, :3, :3]) @ piece.half_m
     a, b = (np.array([rows[pair[side].number] for pair in pairs], dtype=np.int64) for side in (0, 1))
-    return (np.abs(centre_m[a] - centre_m[b]) - half_m[a] - half_m[b]).max(axis=-1) < FAR_M
+    is_near: Bool[np.ndarray, "p n"] = (np.abs(centre_m[a] - centre_m[b]) - half_m[a] - half_m[b]).max(axis=-1) < FAR_M
+    return is_near
 
 
 @lru_cache(maxsize=16)
 def _link_mesh(name: str) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
     """Collision mesh of a link in pybullet_data, link frame, metres."""
-    mesh = trimesh.load(Path(pybullet_data.getDataPath()) / "franka_panda" / "meshes" / "collision" / f"{name}.obj", force="mesh")
+    mesh = trimesh.load_mesh(Path(pybullet_data.getDataPath()) / "franka_panda" / "meshes" / "collision" / f"{name}.obj")
     return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
 
 def _corners(size_m: Sequence[float] | Float[np.ndarray, "3"]) -> Float[np.ndarray, "8 3"]:
     """Corners of a box about its centre."""
-    return np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * np.asarray(size_m)
+    corners_m: Float[np.ndarray, "8 3"] = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * np.asarray(size_m)
+    return corners_m

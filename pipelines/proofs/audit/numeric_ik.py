@@ -1,4 +1,4 @@
-"""Inverse kinematics by damped least squares on pybullet's kinematics: the slow twin of robot.arm's closed form.
+"""Inverse kinematics by damped least squares on the kinematics of pybullet: the slow twin of the closed form in robot/arm.py.
 
 It knows no grid of joint 7, no branches and no bound on the elbow, and so it can find what the closed form cannot.
 """
@@ -80,7 +80,7 @@ def _error_and_jacobian(
     """Position and rotation still to go, in the base frame, and the geometric Jacobian of the TCP."""
     T = world.link_poses(q[None])[0]
     tcp = T[7, :3, 3] + TCP_FROM_HAND_M * T[7, :3, 2]
-    # Each link of the Panda turns about its own z axis; numpy's cross product is ten times slower than its three lines.
+    # Each link of the Panda turns about its own z axis; `np.cross` is ten times slower than the three lines that it takes.
     (a, b, c), (x, y, z) = T[:7, :3, 2].T, (tcp - T[:7, :3, 3]).T
     jacobian = np.array([b * z - c * y, c * x - a * z, a * y - b * x, a, b, c])
     return np.concatenate([T_base_tcp[:3, 3] - tcp, _turn(T_base_tcp[:3, :3] @ T[7, :3, :3].T)]), jacobian

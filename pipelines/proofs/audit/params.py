@@ -1,26 +1,24 @@
-"""How finely the audits look, and from when on they disagree; what they look at is paths', rejections' and audits'."""
+"""How finely the audits look, and from when on they disagree; see paths.py, rejections.py and audits.py for what they look at."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pipelines.engines.bounds import bounded, check_bounds
+
 
 @dataclass(frozen=True, slots=True)
 class AuditParams:
-    """Resolution of the audits; the planner's own is PlanningParams'."""
+    """Resolution of the audits; see PlanningParams for that of the planner."""
 
-    step_rad: float = 0.005  # largest joint step between rechecked configurations: a quarter of the planner's, 5 mm at most at the TCP
-    max_depth_m: float = 0.001  # deeper is a bug; less is what two engines may differ by in a touch that the planner tolerates
-    budget_factor: int = 10  # of the planner's checks
-    n_q7: int = 256  # twice the planner's grid of the redundant joint
-    line_step_m: float = 0.001  # of descend and retreat; the planner's is 2.5 mm
-    n_restarts: int = 64  # random starts of the numerical inverse kinematics, which knows nothing of grids and branches
+    # Largest joint step between rechecked configurations: a quarter of what the planner takes, 5 mm at most at the TCP.
+    step_rad: float = bounded(0.005, 1e-4, 0.05)
+    # Deeper is a bug; less is what two engines may differ by where the planner tolerates contact.
+    max_depth_m: float = bounded(0.001, 0.0, 0.01)
+    budget_factor: int = bounded(10, 1, 1000)  # of the checks that the planner may spend
+    n_q7: int = bounded(256, 1, 4096)  # twice as fine a grid of the redundant joint as the planner has
+    line_step_m: float = bounded(0.001, 1e-4, 0.0025)  # of descend and retreat; the planner takes 2.5 mm
+    n_restarts: int = bounded(64, 0, 10_000)  # random starts of the numerical inverse kinematics, which knows nothing of grids and branches
 
     def __post_init__(self) -> None:
-        bounds = {
-            "step_rad": (1e-4, 0.05), "max_depth_m": (0.0, 0.01), "budget_factor": (1, 1000),
-            "n_q7": (1, 4096), "line_step_m": (1e-4, 0.0025), "n_restarts": (0, 10_000),
-        }  # fmt: skip
-        for name, (lower, upper) in bounds.items():
-            if not lower <= getattr(self, name) <= upper:
-                raise ValueError(f"{name} = {getattr(self, name)}, must be in [{lower}, {upper}]")
+        check_bounds(self)

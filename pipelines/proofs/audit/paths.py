@@ -1,12 +1,12 @@
-"""The executed path of a plan against everything it may not touch, in pybullet's collision engine; verdicts on rejections are rejections'.
+"""The executed path of a plan against everything it must not collide with, in the collision engine of pybullet.
 
-Every pair of bodies is tested, except those listed here with the reason why they may touch.
+Every pair of bodies is tested, except those listed here with the reason why they may overlap. See rejections.py for rejected candidates.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -45,9 +45,9 @@ def recheck_path(
 ) -> PathVerdict:
     """Distances along transport, descend and retreat, on the curve that execution commands.
 
-    That curve is `time_path`'s: straight joint-space pieces with stops in transport, a spline through the waypoints on the lines. It is
-    sampled by way, not by time: no joint moves more than `step_rad` between two configurations. Carried, the object moves with the
-    TCP from the first configuration to the last; while the hand retreats, it stands where the plan let go of it.
+    That curve comes from `time_path`: straight joint-space pieces with stops in transport, a spline through the waypoints on the lines.
+    It is sampled by way, not by time: no joint moves more than `step_rad` between two configurations. Carried, the object moves with
+    the TCP from the first configuration to the last; while the hand retreats, it stands where the plan let go of it.
 
     Args:
         T_base_place: object pose at which the plan lets go.
@@ -58,12 +58,12 @@ def recheck_path(
         q = executed_path(getattr(motion, f"{phase}_q_rad"), timing, stop_at_waypoints=phase == "transport", step_rad=step_rad)
         if phase == "retreat":
             placed = {**world.arm(q, np.array([jaw_m / 2, jaw_m / 2])), "object": T_base_place[None]}
-            touch, keep_clear = standing_pairs(), arm_pairs(world)
+            may_meet, keep_clear = standing_pairs(), arm_pairs(world)
         else:
             placed = world.arm(q, grasp.fingers_m)
             placed["object"] = placed["tcp"] @ grasp.T_tcp_object
-            touch, keep_clear = carried_pairs(), [*arm_pairs(world), *object_pairs(world)]
-        own = world.nearest(placed, [*self_pairs(), *touch])
+            may_meet, keep_clear = carried_pairs(), [*arm_pairs(world), *object_pairs(world)]
+        own = world.nearest(placed, [*self_pairs(), *may_meet])
         other = world.nearest(placed, keep_clear)
         clearance_m = min(clearance_m, other.room_m)
         for found in (own, other):
@@ -91,11 +91,9 @@ def executed_path(
     return q[kept]
 
 
-def self_pairs(required_m: float = 0.0) -> list[Pair]:
+def self_pairs() -> list[Pair]:
     """The robot against itself."""
-    return [
-        Pair(a, b, required_m) for k, a in enumerate(ROBOT) for b in ROBOT[k + 1 :] if frozenset((a, b)) not in ALLOWED_COLLISION_MATRIX
-    ]
+    return [Pair(a, b) for a, b in combinations(ROBOT, 2) if frozenset((a, b)) not in ALLOWED_COLLISION_MATRIX]
 
 
 def arm_pairs(world: BulletScene, required_m: float = 0.0) -> list[Pair]:

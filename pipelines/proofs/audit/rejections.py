@@ -1,8 +1,8 @@
-"""A rejected candidate judged again, slowly: is there a placement motion after all? Which candidates are, is audits' to choose.
+"""A rejected candidate judged again, slowly: is there a placement motion after all? See audits.py for which are.
 
 Independent of the planner are every verdict on collision (Bullet instead of coal, the object and link6 as triangle meshes instead of
 convex parts and hull) and the inverse kinematics from random starts. Only finer are the grid of joint 7, the line steps and the
-edges, and RRTConnect is the planner's. What a placement is stays the same: release height, clearance, straight lines at constant joint 7.
+edges; RRTConnect is the same. What a placement is stays the same too: release height, clearance, straight lines at constant joint 7.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _LINKS_BY_OBJECT = LINKS[:6]
 
 @dataclass(frozen=True, slots=True)
 class Rejudgement:
-    """The slow judge's outcome; `solved` says that a whole motion was found."""
+    """Outcome of the slow judge; `solved` says that a whole motion was found."""
 
     status: PlanStatus
     n_configurations: int
@@ -47,7 +47,7 @@ def rejudge(world: BulletScene, candidate: Candidate, planning: PlanningParams, 
 
     Args:
         world: the candidate's scene, `exact`.
-        planning: what a placement is; of its resolutions only the joints' speed along a line.
+        planning: what a placement is; of its resolutions only how fast the joints move along a line.
         seed: the recipe seed.
     """
     before = world.n_checked

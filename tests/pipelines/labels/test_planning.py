@@ -58,7 +58,7 @@ def problem(name: str) -> Problem:
     object_model = can_model() if name == "can" else box_model()
     scene = panda_scene(object_model, [(0.45, 0.22), (0.62, -0.18)])
     admitted = admitted_grasps(admission_rows(object_model, scene, AdmissionParams()))
-    return Problem(object_model, scene, tuple(ideally_lifted(object_model, scene, grasp) for grasp in admitted[::2]))
+    return Problem(object_model, scene, tuple(ideally_lifted(object_model, grasp) for grasp in admitted[::2]))
 
 
 @pytest.mark.parametrize("name", ["can", "box"])
@@ -183,7 +183,7 @@ def test_each_reason_is_given_where_it_is_the_reason() -> None:
 
     assert judged(p, with_box(pose(0.5, 0.25, 0.06), (0.1, 0.08, 0.12)), grasp)["plan_status"] == "place_pose_in_collision"
     assert judged(p, dataclasses.replace(scene, targets=(Target(0, 0, pose(1.3, 0.0, 0.06)),)), grasp)["plan_status"] == "no_ik"
-    # A slab above the can: below the hand's wrist it would hit the hand at the place pose, above the can only the way down.
+    # A slab above the can: it is clear of the hand at the place pose and in collision on the way down.
     assert judged(p, with_box(pose(0.5, 0.32, 0.2), (0.2, 0.15, 0.02)), grasp)["plan_status"] == "descend_blocked"
     around_lifted = grasp.T_base_lifted.copy()
     around_lifted[:3, :3] = np.eye(3)

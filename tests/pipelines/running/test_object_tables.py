@@ -28,7 +28,7 @@ from tables.store import Sidecar, StoreError, read_table, sidecar_path
 from tests.objects.test_catalogue import BOX, CAN, write
 
 # Fewer candidates: the mechanics are the same and a build takes a fifth of the time.
-RECIPE = Recipe(objects=ObjectParams(grasp_pool=GraspPoolParams(n_candidates=2000, n_grasps=16)))
+RECIPE = Recipe(objects=ObjectParams(grasp_pool=GraspPoolParams(n_candidates=2000, n_grasps=22)))
 BRICK = {**BOX, "id": '"brick"', "size_m": "[0.04, 0.05, 0.09]"}
 TIN = CAN
 THREE = (BOX, BRICK, TIN)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import shutil
 import signal
 from importlib import metadata
 from pathlib import Path
@@ -14,11 +15,13 @@ from objects.object_model import ObjectModel
 from pipelines.recipe import Recipe
 from pipelines.running import shard_runner, unfinished
 from pipelines.running.data_root import DataRoot
+from pipelines.running.lock import LockError
 from pipelines.running.shard_runner import Progress, ShardInputs, StageError, is_published, run_stage
 from pipelines.stage import Stage, Unit, UnitResult
 from pipelines.values import SceneAllocation
 from tables.identity import rng_for, scenes_of_shard
 from tables.schemas import TIMINGS
+from tables.sidecar import sidecar_path
 from tables.store import read_table
 from tests.builders import can_model, made_up_stage
 
@@ -79,7 +82,7 @@ def test_tables_of_another_engine_version_are_not_reused(tmp_path: Path, inputs:
     assert made.sidecars["splits"].made_from["engine.numpy"] == metadata.version("numpy")
     assert run_stage(stage, SHARD, root, inputs, 0).is_reused
     real = metadata.version
-    monkeypatch.setattr(shard_runner.metadata, "version", lambda name: "99.0" if name == "ompl" else real(name))
+    monkeypatch.setattr(metadata, "version", lambda name: "99.0" if name == "ompl" else real(name))
     assert not is_published(stage, SHARD, root, inputs)
 
 
@@ -91,6 +94,42 @@ def test_a_damaged_table_is_made_again(tmp_path: Path, inputs: ShardInputs) -> N
     again = run_stage(_stage(), SHARD, root, inputs, 0)
     assert not again.is_reused
     assert again.sidecars["splits"].content_hash == first.content_hash
+
+
+@pytest.mark.parametrize("damage", ["garbage\n", "", "[1]", "{}", '{"table": 3}'])
+def test_a_damaged_sidecar_is_told_and_made_again(tmp_path: Path, inputs: ShardInputs, damage: str) -> None:
+    root, told = DataRoot(tmp_path), []
+    first = run_stage(_stage(), SHARD, root, inputs, 0).sidecars["splits"]
+    sidecar_path(root.shard_table(SHARD, "splits")).write_text(damage)
+    assert not is_published(_stage(), SHARD, root, inputs)
+    again = run_stage(_stage(), SHARD, root, inputs, 0, log=told.append)
+    assert again.sidecars["splits"].content_hash == first.content_hash
+    assert len(told) == 1
+    assert told[0].startswith("splits of mini-000: ")
+    assert told[0].endswith("; made again")
+
+
+def test_a_shard_that_somebody_builds_is_refused_at_once(tmp_path: Path, inputs: ShardInputs) -> None:
+    root, refused = DataRoot(tmp_path), []
+
+    def meanwhile(progress: Progress) -> None:
+        if progress.done == 1:
+            with pytest.raises(LockError, match=r"shard mini-000 is being built by this process already") as error:
+                run_stage(_stage(), SHARD, root, inputs, 0)
+            refused.append(str(error.value))
+
+    run_stage(_stage(), SHARD, root, inputs, 0, meanwhile)
+    assert len(refused) == 1
+    assert run_stage(_stage(), SHARD, root, inputs, 0).is_reused
+
+
+def test_a_table_of_another_shard_does_not_count(tmp_path: Path, inputs: ShardInputs) -> None:
+    """Made from the very same inputs, so only its owner tells it apart."""
+    root = DataRoot(tmp_path)
+    run_stage(_stage(), SHARD, root, inputs, 0)
+    shutil.copytree(tmp_path / "shards" / SHARD, tmp_path / "shards" / "full-000")
+    assert is_published(_stage(), SHARD, root, inputs)
+    assert not is_published(_stage(), "full-000", root, inputs)
 
 
 def test_a_crash_fails_its_scene_with_its_id_and_keeps_the_others(

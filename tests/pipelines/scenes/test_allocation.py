@@ -1,4 +1,4 @@
-"""Layouts are balanced over objects, categories and shards, and depend on the id alone."""
+"""Allocations are balanced over objects, categories and shards, and depend on the id alone."""
 
 from __future__ import annotations
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from pipelines.codecs import Row
-from pipelines.engines.robot.arm import HOME_Q_RAD
+from pipelines.engines.robot.arm import HOME_Q_RAD, fk
 from pipelines.pictures.renderer import Renderer, View
 from pipelines.pictures.views import render_scene
 from pipelines.scenes.points import CameraParams, scene_point_rows
@@ -86,15 +88,24 @@ def test_back_projection_inverts_the_lens() -> None:
     assert np.abs(points - at).max() < 0.005 + ON_SURFACE_M
 
 
-def test_pictures_show_object_ghosts_and_robot() -> None:
-    plain = render_scene(OBJECT_MODEL, SCENE, (160, 120), show_targets_as_ghosts=False)
+def test_pictures_show_targets_as_ghosts() -> None:
+    plain = render_scene(OBJECT_MODEL, dataclasses.replace(SCENE, targets=()), (160, 120))
     ghosts = render_scene(OBJECT_MODEL, SCENE, (160, 120))
-    robot = render_scene(OBJECT_MODEL, SCENE, (160, 120), robot_q=HOME_Q_RAD)
     assert plain.shape == (120, 160, 3)
     assert plain.dtype == np.uint8
-    for other in (ghosts, robot):
-        share = np.any(plain != other, axis=-1).mean()
-        assert 0.005 < share < 0.5
+    assert 0.005 < np.any(plain != ghosts, axis=-1).mean() < 0.5
+
+
+def test_the_robot_is_drawn_where_its_joints_put_it() -> None:
+    """The hand, seen from the side, covers the pixels around the TCP."""
+    view = View((1.4, -0.9, 0.8), (0.3, 0.0, 0.3), 45.0, 160, 120)
+    with Renderer() as renderer:
+        robot = renderer.add_robot()
+        renderer.pose_robot(robot, HOME_Q_RAD, np.array([0.04, 0.04]))
+        photograph = renderer.photograph(view)
+    points = photograph.points_m[photograph.body == robot]
+    assert len(points) > 500
+    assert np.linalg.norm(points - fk(HOME_Q_RAD)[:3, 3], axis=1).min() < 0.05
 
 
 @pytest.mark.parametrize(("field", "value"), [("n_points", 100), ("fov_deg", 200.0), ("eyes_m", ())])

@@ -12,13 +12,14 @@ from pipelines.codecs import Row, admitted_grasps, lifted_grasps, plan_in
 from pipelines.engines.physics.world import PhysicsParams
 from pipelines.engines.planning.trajectory import MotionParams
 from pipelines.grasps.admission import AdmissionParams, admission_rows
-from pipelines.grasps.pick_lift import PickLiftParams, pick_lift_rows
+from pipelines.grasps.pick_lift import PickLiftParams, PickLiftSetup, pick_lift_rows
 from pipelines.labels.planning import PlanningParams, PlanningSetup, motion_of, planning_rows
 from pipelines.scenes.tabletop import standing
 from pipelines.values import Candidate, LiftedGrasp, Motion, Obstacle, Scene, Target
 from tests.pipelines.engines.physics.object_models import can_model, cuboid_model, mug_model
 
 PHYSICS, MOTION = PhysicsParams(), MotionParams()
+LIFTING = PickLiftSetup(PickLiftParams(), AdmissionParams(), MOTION, PHYSICS)
 OBJECT_MODELS = {"can": can_model, "cuboid": cuboid_model, "mug": mug_model}
 _SPOTS = ((0.40, -0.25, 0.4), (0.55, -0.30, -1.0), (0.35, 0.30, 2.0), (0.62, 0.10, 0.9))
 
@@ -51,7 +52,7 @@ def lifted(name: str, n_grasps: int = 2) -> Lifted:
     object_model = OBJECT_MODELS[name]()
     scene = scene_of(object_model)
     admitted = admitted_grasps(admission_rows(object_model, scene, AdmissionParams(quota=n_grasps)))
-    rows = pick_lift_rows(object_model, scene, admitted, PickLiftParams(), MOTION, PHYSICS)
+    rows = pick_lift_rows(object_model, scene, admitted, LIFTING)
     grasps = lifted_grasps(rows)
     candidates = [Candidate(scene, grasp, target) for grasp in grasps for target in scene.targets]
     setup = PlanningSetup(PlanningParams(), MOTION, 42)

@@ -1,6 +1,8 @@
-"""Three real-sized objects built by hand for physics tests, independent of the objects package's own builders."""
+"""Three real-sized objects built by hand for physics tests, independent of objects/build.py."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import trimesh
@@ -22,7 +24,8 @@ def can_model(radius_m: float = 0.033, height_m: float = 0.115, mass_kg: float =
         # A 48-gon lies on a face, not on an edge.
         _rest(2, "lying", 0.4, _turn_y(90) @ _turn_z(180 / 48), radius_m * np.cos(np.pi / 48)),
     )
-    return _kit("test_can", "can", Symmetry.REVOLUTION_Z, mass_kg, solid, [solid], poses, (*side, *top))
+    solid.density = mass_kg / solid.volume
+    return _model("can", Symmetry.REVOLUTION_Z, [solid, solid], poses, (*side, *top))
 
 
 def cuboid_model(size_m: tuple[float, float, float] = (0.06, 0.09, 0.14), mass_kg: float = 0.3) -> ObjectModel:
@@ -37,7 +40,8 @@ def cuboid_model(size_m: tuple[float, float, float] = (0.06, 0.09, 0.14), mass_k
         _rest(1, "face_y", 0.4, _turn_x(90), y / 2),
         _rest(2, "face_x", 0.4, _turn_y(90), x / 2),
     )
-    return _kit("test_cuboid", "cuboid", Symmetry.BOX, mass_kg, solid, [solid], poses, tuple(grasps))
+    solid.density = mass_kg / solid.volume
+    return _model("cuboid", Symmetry.BOX, [solid, solid], poses, tuple(grasps))
 
 
 def mug_model(outer_m: float = 0.040, height_m: float = 0.095, wall_m: float = 0.005, mass_kg: float = 0.3) -> ObjectModel:
@@ -63,15 +67,31 @@ def mug_model(outer_m: float = 0.040, height_m: float = 0.095, wall_m: float = 0
         out = np.array([np.cos(a), np.sin(a), 0.0])
         rim.append(_grasp(k, "rim", (0, 0, -1.0), tuple(out), wall_m, at=(at * out[0], at * out[1], height_m / 2 - 0.015)))
     poses = (_rest(0, "upright", 0.6, np.eye(3), height_m / 2), _rest(1, "inverted", 0.4, np.diag([1.0, -1.0, -1.0]), height_m / 2))
-    return _kit("test_mug", "mug", Symmetry.NONE, mass_kg, solid, parts, poses, tuple(rim))
-
-
-def _kit(object_id, category, symmetry, mass_kg, solid, parts, poses, grasps):  # type: ignore[no-untyped-def]
     solid.density = mass_kg / solid.volume
-    meshes = [TriangleMesh(np.array(m.vertices), np.array(m.faces)) for m in (solid, *parts)]
-    inertia = np.array(solid.moment_inertia)
+    return _model("mug", Symmetry.NONE, [solid, *parts], poses, tuple(rim))
+
+
+def _model(
+    category: str,
+    symmetry: Symmetry,
+    solids: list[trimesh.Trimesh],
+    stable_poses: tuple[StablePose, ...],
+    grasps: tuple[PoolGrasp, ...],
+) -> ObjectModel:
+    """An object of the whole solid, which has its mass, and its convex parts."""
+    whole, *parts = (TriangleMesh(np.array(solid.vertices), np.array(solid.faces)) for solid in solids)
     return ObjectModel(
-        object_id, category, symmetry, mass_kg, 0.8, np.array(solid.center_mass), inertia, meshes[0], tuple(meshes[1:]), poses, grasps
+        object_id=f"test_{category}",
+        category=category,
+        symmetry=symmetry,
+        mass_kg=float(solids[0].mass),
+        friction=0.8,
+        com_m=np.array(solids[0].center_mass),
+        inertia_kg_m2=np.array(solids[0].moment_inertia),
+        mesh=whole,
+        parts=tuple(parts),
+        stable_poses=stable_poses,
+        grasps=grasps,
     )
 
 
@@ -79,7 +99,9 @@ def _hull(points: list[tuple[float, float, float]]) -> trimesh.Trimesh:
     return trimesh.PointCloud(np.array(points)).convex_hull
 
 
-def _grasp(grasp_id, kind, approach, jaw, width_m, at=(0.0, 0.0, 0.0)):  # type: ignore[no-untyped-def]
+def _grasp(
+    grasp_id: int, kind: str, approach: Sequence[float], jaw: Sequence[float], width_m: float, at: Sequence[float] = (0.0, 0.0, 0.0)
+) -> PoolGrasp:
     z, y = np.array(approach, dtype=float), np.array(jaw, dtype=float)
     T = np.eye(4)
     T[:3, :3] = np.column_stack([np.cross(y, z), y, z])

@@ -47,14 +47,14 @@ class BulletReference:
         self.client.disconnect()
 
     def carrying_m(self, q: Float[np.ndarray, "7"], fingers_m: Float[np.ndarray, "2"], T_tcp_object: Float[np.ndarray, "4 4"]) -> float:
-        """Smallest signed distance of the pairs that `in_collision_holding` tests, each less its margin: negative is a hit."""
+        """Smallest signed distance of the pairs that `in_collision_holding` tests, each less its margin: negative is a collision."""
         T_base_tcp = self._move(q, fingers_m)
         partners = [(body, -1, CLEARANCE_M) for body in (self.table, *self.obstacles)]
         partners += [(*self._link(name), 0.0) for name in LINKS_BY_OBJECT]
         return min(self._robot_m(), self._object_m(T_base_tcp @ T_tcp_object, partners))
 
     def open_m(self, q: Float[np.ndarray, "7"], jaw_m: float, T_base_object: Float[np.ndarray, "4 4"]) -> float:
-        """Smallest signed distance of the pairs that `in_collision_open` tests, each less its margin: negative is a hit."""
+        """Smallest signed distance of the pairs that `in_collision_open` tests, each less its margin: negative is a collision."""
         self._move(q, np.array([jaw_m / 2, jaw_m / 2]))
         partners = [(*self._link(name), -HELD_TOLERANCE_M) for name in (*self.names, *self.fingers) if name not in LINKS_ON_TABLE]
         return min(self._robot_m(), self._object_m(T_base_object, partners))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import subprocess
 import sys
+from itertools import combinations
 
 import coal
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from objects.object_model import ObjectModel
 from pipelines.engines.planning.bodies import CLEARANCE_M, Surroundings, bodies_meet, hand_body, object_body, transform_of
 from pipelines.engines.planning.clearance import path_clearance_m
-from pipelines.engines.planning.collision import HELD_TOLERANCE_M, CollisionModel
+from pipelines.engines.planning.collision import ALLOWED_COLLISION_MATRIX, HELD_TOLERANCE_M, ROBOT, SELF_COLLISION_PAIRS, CollisionModel
 from pipelines.engines.robot.arm import HOME_Q_RAD, Q_LOWER_RAD, Q_UPPER_RAD, fk, follow_line, ik
 from pipelines.engines.robot.geometry import box_corners, moved, panda
 from pipelines.values import Obstacle
@@ -24,8 +25,9 @@ from tests.pipelines.engines.planning.bullet_reference import BulletReference
 
 OBSTACLES = ((0.5, 0.25), (0.62, -0.2))
 T_TCP_CAN = inverse(tcp_pose((0.0, 0.0, 0.03), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)))
+N_Q7 = 32  # enough configurations of every pose here
 FINGERS_M = np.array([0.03, 0.034])
-# pybullet's hulls and boxes touch up to this early or late.
+# Hulls and boxes of pybullet are in contact up to this early or late.
 BULLET_TOLERANCE_M = 0.0015
 
 
@@ -56,6 +58,37 @@ def test_verdicts_agree_with_pybullet(object_model: ObjectModel) -> None:
                 assert model.in_collision_open(q) == (open_m < 0), (q, open_m)
     assert n_sure > 270
     assert 40 < n_hit < 260
+
+
+def test_every_pair_of_the_robot_is_tested_or_allowed_and_the_tested_ones_are_those_of_the_labels() -> None:
+    """The published labels were made with these 29 pairs of 78."""
+    hand = ("hand", "left_finger_pad", "left_finger_body", "right_finger_pad", "right_finger_body")
+    arm_by_wrist = {frozenset((a, b)) for a in ("link0", "link1", "link2") for b in ("link5", "link6", "link7")}
+    arm_by_hand = {frozenset((a, b)) for a in ("link0", "link1", "link2", "link5") for b in hand}
+    tested = {frozenset(pair) for pair in SELF_COLLISION_PAIRS}
+    assert tested == arm_by_wrist | arm_by_hand
+    assert len(SELF_COLLISION_PAIRS) == len(tested) == 29
+    assert tuple(shape.name for shape in panda().shapes) == ROBOT
+    assert tested | ALLOWED_COLLISION_MATRIX == {frozenset(pair) for pair in combinations(ROBOT, 2)}
+    assert not tested & ALLOWED_COLLISION_MATRIX
+
+
+def test_bodies_that_are_said_to_meet_never_or_always_do_so() -> None:
+    """What the matrix allows, in 2,000 random configurations; link5 and link7 are the documented pair between."""
+    model, data, shapes = panda().model, panda().model.createData(), {shape.name: shape for shape in panda().shapes}
+    n_met = dict.fromkeys(sorted(tuple(sorted(pair)) for pair in ALLOWED_COLLISION_MATRIX), 0)
+    sampled = np.random.default_rng(10).uniform(Q_LOWER_RAD, Q_UPPER_RAD, (2000, 7))
+    for q in sampled:
+        pin.forwardKinematics(model, data, np.concatenate([q, [0.01, 0.01]]))
+        placed = {name: transform_of(data.oMi[s.joint].homogeneous @ s.T_joint_shape) for name, s in shapes.items()}
+        for a, b in n_met:
+            result = coal.CollisionResult()
+            n_met[a, b] += bool(coal.collide(shapes[a].geometry, placed[a], shapes[b].geometry, placed[b], coal.CollisionRequest(), result))
+    between = {pair for pair, n in n_met.items() if 0 < n < len(sampled)}
+    assert between == {("link5", "link7")}
+    assert n_met["link5", "link7"] / len(sampled) == pytest.approx(0.06, abs=0.02)
+    always = {pair for pair, n in n_met.items() if n == len(sampled)}
+    assert {(a, b) for a, b in always if a.startswith("link") and b.startswith("link")} <= {(f"link{k}", f"link{k + 1}") for k in range(7)}
 
 
 def test_a_verdict_does_not_depend_on_what_was_asked_before() -> None:
@@ -102,20 +135,20 @@ def test_the_attached_object_meets_the_table_where_its_lowest_point_does() -> No
         for height, expected in ((CLEARANCE_M + 2e-5, False), (CLEARANCE_M - 2e-5, True)):
             T = T_tcp.copy()
             T[2, 3] += height - lowest
-            free_before = [q for q in ik(T_tcp) if not model.in_collision_holding(q)]
+            free_before = [q for q in ik(T_tcp, N_Q7) if not model.in_collision_holding(q)]
             assert free_before
-            q = min(ik(T), key=lambda row: float(np.abs(row - free_before[0]).max()))
+            q = min(ik(T, N_Q7), key=lambda row: float(np.abs(row - free_before[0]).max()))
             assert model.in_collision_holding(q) is expected
             assert model.surroundings.in_collision(body, T @ T_TCP_CAN) is expected
 
 
 @pytest.mark.parametrize(("overlap_m", "expected"), [(HELD_TOLERANCE_M - 5e-5, False), (HELD_TOLERANCE_M + 5e-5, True)])
-def test_a_standing_object_may_be_touched_as_deep_as_the_tolerance(overlap_m: float, expected: bool) -> None:
+def test_a_standing_object_may_be_overlapped_as_deep_as_the_tolerance(overlap_m: float, expected: bool) -> None:
     """A box, too low for the palm, beside a finger's outer face."""
     object_model = box_model((0.04, 0.04, 0.06))
     model = CollisionModel(panda_scene(object_model), object_model)
     T_base_tcp = tcp_pose((0.5, 0.0, 0.06), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
-    solutions = ik(T_base_tcp)
+    solutions = ik(T_base_tcp, N_Q7)
     model.place_object(pose(2.0, 2.0, 0.03), 0.06)
     free = [q for q in solutions if not model.in_collision_open(q)]
     assert free
@@ -139,12 +172,13 @@ def test_arm_and_hand_keep_their_clearance_to_table_and_obstacles(gap_m: float, 
     for T in (over_table, beside_obstacle):
         T_far = T.copy()
         T_far[:3, 3] += [0.0, -0.02, 0.02]
-        assert {model.in_collision_open(q) for q in ik(T) if not model.in_collision_open(follow_line(T, T_far, q)[-1])} == {expected}
+        lines = [line for q in ik(T, N_Q7) if (line := follow_line(T, T_far, q, 0.0025, 0.1)) is not None]
+        assert {model.in_collision_open(line[0]) for line in lines if not model.in_collision_open(line[-1])} == {expected}
         assert model.surroundings.in_collision(hand_body(0.06), T) is expected
 
 
 def test_a_swept_hand_stands_for_every_step_of_its_line() -> None:
-    """One hull test against 0.25 mm steps: the sweep hits where some step hits, and where none does it is free."""
+    """One hull test against 0.25 mm steps: the sweep is in collision where some step is, and free where none is."""
     object_model = can_model()
     scene = panda_scene(object_model, OBSTACLES)
     surroundings = Surroundings(scene)

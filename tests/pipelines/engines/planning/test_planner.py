@@ -25,7 +25,7 @@ def problem() -> tuple[CollisionModel, np.ndarray, np.ndarray]:
     model = CollisionModel(panda_scene(object_model, [(0.5, 0.0), (0.6, -0.2)]), object_model)
     model.attach(np.eye(4), np.array([0.033, 0.033]))
     ends = [tcp_pose((0.5, y, 0.2), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)) for y in (0.25, -0.25)]
-    start, goals = ([q for q in ik(T) if not model.in_collision_holding(q)] for T in ends)
+    start, goals = ([q for q in ik(T, 32) if not model.in_collision_holding(q)] for T in ends)
     return model, start[0], np.array(goals[:8])
 
 

@@ -27,7 +27,7 @@ def random_line(seed: int) -> np.ndarray | None:
     q = HOME_Q_RAD + rng.uniform(-0.4, 0.4, 7)
     T_end = fk(q)
     T_end[:3, 3] += rng.uniform(-0.06, 0.06, 3)
-    return follow_line(fk(q), T_end, q)
+    return follow_line(fk(q), T_end, q, 0.0025, 0.1)
 
 
 def assert_within_limits(motion: Trajectory, params: MotionParams, dt_s: float) -> None:

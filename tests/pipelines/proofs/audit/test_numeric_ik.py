@@ -49,7 +49,7 @@ def test_numerical_lines_are_the_closed_forms() -> None:
     T_up = T.copy()
     T_up[2, 3] += 0.1
     q = ik(T, 16)[5]
-    expected = follow_line(T, T_up, q, 0.0025)
+    expected = follow_line(T, T_up, q, 0.0025, 0.1)
     assert expected is not None
     with BulletScene(panda_scene(object_model), object_model) as world:
         line = numeric_ik.follow_line(world, T, T_up, q, 0.0025, 0.1)

@@ -1,0 +1,256 @@
+"""The command line: what a step says, what is skipped, and every way to fail in one line."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import shutil
+import signal
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import pytest
+from dagster import (
+    AssetCheckResult,
+    AssetCheckSpec,
+    AssetKey,
+    AssetsDefinition,
+    DagsterInstance,
+    ExecuteInProcessResult,
+    MaterializeResult,
+    asset,
+    materialize,
+)
+from rich.console import Console
+
+from assets_def import build as command
+from assets_def.checks import consistency_result
+from assets_def.definitions import definitions
+from assets_def.object_assets import object_assets
+from assets_def.release_assets import release_steps
+from assets_def.report_assets import profile_step, report_steps
+from assets_def.resources import Benchmark
+from assets_def.stages import stage_assets
+from model.settings import RankerError
+from pipelines.recipe import RecipeError
+from splits.release import ReleaseError
+from tables.identity import IdentityError
+from tables.schemas import ALL_SCHEMAS
+from tables.store import StoreError, read_table, sidecar_path, table_from_rows, write_table
+from tests.assets_def.conftest import Built, run
+from tests.assets_def.small import SHARD, TIER, SmallBenchmark
+from tests.assets_def.test_instance import YAML
+
+
+@pytest.fixture(autouse=True)
+def _home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A Dagster instance of each test's own."""
+    (tmp_path / "home").mkdir()
+    shutil.copy(YAML, tmp_path / "home")
+    monkeypatch.setenv("DAGSTER_HOME", str(tmp_path / "home"))
+
+
+@pytest.fixture
+def out(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
+    """What the command prints, in colour."""
+    text = io.StringIO()
+    for name in ("CONSOLE", "ERRORS"):
+        monkeypatch.setattr(command, name, Console(file=text, width=80, force_terminal=True, color_system="standard"))
+    return text
+
+
+def red_lines(text: io.StringIO) -> list[str]:
+    """Lines in red, without the colour; asserts that nothing looks like a traceback."""
+    assert "Traceback" not in text.getvalue()
+    return re.findall(r"\x1b\[31m(.*?)\x1b\[0m\n", text.getvalue())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["mini", "--workers", "-2"], "argument --workers: -2, must be a whole number of at least 0"),
+        (["mini", "--workers", "two"], "argument --workers: two, must be a whole number of at least 0"),
+        (["nano"], "argument tier: invalid choice: 'nano' (choose from 'mini', 'pilot', 'full')"),
+        (["mini", "--until", "tomorrow"], "argument --until: invalid choice"),
+        ([], "the following arguments are required: tier"),
+    ],
+)
+def test_a_wrong_command_is_one_red_line_and_exit_code_2(arguments: list[str], words: str, out: io.StringIO) -> None:
+    with pytest.raises(SystemExit) as ended:
+        command.main(arguments)
+    assert ended.value.code == 2
+    (line,) = red_lines(out)
+    assert words in line
+
+
+@pytest.mark.parametrize(
+    ("recipe", "words"),
+    [
+        ("[planning]\nhope = 1\n", "RecipeError: recipe.planning.hope: unknown key"),
+        ('[camera]\nwidth_px = "many"\n', "RecipeError: recipe.camera"),
+        ("[planning\n", "Expected ']'"),
+    ],
+    ids=["unknown key", "wrong value", "no TOML"],
+)
+def test_a_broken_recipe_is_one_red_line_and_exit_code_1(
+    recipe: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: io.StringIO
+) -> None:
+    path = tmp_path / "recipe.toml"
+    path.write_text(recipe)
+    monkeypatch.setattr(command, "Benchmark", partial(Benchmark, data_dir=str(tmp_path / "data"), recipe_path=str(path)))
+    assert command.main(["mini"]) == 1
+    (line,) = red_lines(out)
+    assert line.startswith("objects: ")
+    assert words in line
+
+
+def test_a_missing_table_is_one_red_line_and_exit_code_1(
+    built: Built, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: io.StringIO
+) -> None:
+    benchmark = built.copy(tmp_path / "small")
+    sidecar_path(benchmark.root.shard_table(SHARD, "candidate_pairs")).unlink()
+    monkeypatch.setattr(command, "build", lambda tier, _, until: command._build_steps(tier, benchmark, until))
+    assert command.main(["mini"]) == 1
+    (line,) = red_lines(out)
+    assert re.fullmatch(r"StoreError: .*candidate_pairs\.parquet: not published \(table or sidecar missing\)", line)
+
+
+@pytest.mark.parametrize("error", [StoreError, RecipeError, ReleaseError, RankerError, IdentityError, command.BuildError])
+def test_every_error_on_purpose_is_one_red_line(error: type[Exception], monkeypatch: pytest.MonkeyPatch, out: io.StringIO) -> None:
+    def fail(*_: object) -> None:
+        raise error("scenes: 1 row,\n  must be 2")
+
+    monkeypatch.setattr(command, "build", fail)
+    assert command.main(["mini"]) == 1
+    (line,) = red_lines(out)
+    assert line.endswith("scenes: 1 row, must be 2")
+
+
+def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch, out: io.StringIO) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(command, "build", fail)
+    with pytest.raises(ZeroDivisionError):
+        command.main(["mini"])
+
+
+def test_an_interrupted_build_says_in_its_last_line_what_is_kept(monkeypatch: pytest.MonkeyPatch, out: io.StringIO) -> None:
+    def interrupted(*_: object) -> None:
+        with command._line("scenes"):
+            command._reason(_result(_interrupting))
+
+    monkeypatch.setattr(command, "build", interrupted)
+    assert command.main(["mini"]) == command.INTERRUPTED
+    (line,) = red_lines(out)
+    assert "kept" in line
+    assert out.getvalue().endswith(f"{line}\x1b[0m\n")
+
+
+@asset
+def _interrupting() -> None:
+    os.kill(os.getpid(), signal.SIGINT)
+    signal.pause()
+
+
+@asset
+def _failing() -> None:
+    try:
+        raise KeyError("a reason below")
+    except KeyError as below:
+        raise StoreError("x.parquet: not published\nwith a second line") from below
+
+
+@asset(check_specs=[AssetCheckSpec("consistent", asset="_contradicting", blocking=True)])
+def _contradicting() -> Iterator[MaterializeResult[None] | AssetCheckResult]:
+    yield MaterializeResult()
+    yield consistency_result("_contradicting", ["mini-0000: 7 targets, must be 8", "mini-0001: 6 targets, must be 8"])
+
+
+def _result(one: AssetsDefinition) -> ExecuteInProcessResult:
+    settings = {"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}}
+    return materialize([one], instance=DagsterInstance.ephemeral(), raise_on_error=False, run_config=settings)
+
+
+def test_the_reason_of_a_failed_run_is_what_the_step_raised_or_what_its_gate_found_first() -> None:
+    assert command._reason(_result(_failing)) == "tables.store.StoreError: x.parquet: not published"
+    assert command._reason(_result(_contradicting)) == "check _contradicting.consistent: mini-0000: 7 targets, must be 8"
+
+
+def test_until_release_is_the_release_and_its_profile() -> None:
+    names = [name for _, _, name in command._steps("mini", "release")]
+    assert names == ["candidates and grasps", "splits", "release", "profile report"]
+
+
+def test_until_reports_is_every_asset_above_the_shards_each_before_what_reads_it() -> None:
+    graph = definitions.resolve_asset_graph()
+    below = {key for assets in (object_assets, *stage_assets) for key in assets.keys}
+    order = list(dict.fromkeys(key for step, _, _ in command._steps("full", "reports") for key in step.asset.keys))
+    assert set(order) == graph.executable_asset_keys - below
+    for k, key in enumerate(order):
+        assert graph.get(key).parent_keys <= below | set(order[:k]) | _same_step(key), key
+    assert sum(step.name == "ranker" for step, _, _ in command._steps("full", "reports")) == 12
+
+
+def _same_step(key: AssetKey) -> set[AssetKey]:
+    return {other for step, _, _ in command._steps("mini", "reports") if key in step.asset.keys for other in step.asset.keys}
+
+
+def outcomes(text: io.StringIO) -> dict[str, str]:
+    """What became of each step, line by line; every line ends with its time."""
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", text.getvalue())
+    text.seek(0)
+    text.truncate()
+    lines = [re.fullmatch(r"(.{36})(up to date|made) +\d+\.\d s", line) for line in plain.splitlines()]
+    return {line.group(1).strip(): line.group(2) for line in lines if line is not None}
+
+
+def test_what_is_up_to_date_is_skipped_and_what_is_not_is_made(built: Built, tmp_path: Path, out: io.StringIO) -> None:
+    benchmark = built.copy(tmp_path / "small")
+    names = ["candidates and grasps", "splits", "release", "profile report"]
+    command._build_steps(TIER, benchmark, "release")
+    assert outcomes(out) == dict(zip(names, ["up to date"] * 3 + ["made"], strict=True))
+    command._build_steps(TIER, benchmark, "release")
+    assert outcomes(out) == dict.fromkeys(names, "up to date")
+    with DagsterInstance.get() as instance:
+        assert instance.get_runs_count() == 1, "what is up to date starts no run"
+
+    # The release is made again; it is the same release, so that its report stays.
+    (benchmark.root.release(TIER) / "manifest.json").unlink()
+    command._build_steps(TIER, benchmark, "release")
+    assert outcomes(out) == dict.fromkeys(names, "up to date") | {"release": "made"}
+
+    # A damaged picture costs its report and nothing else.
+    (benchmark.report_dir(TIER) / "profile-funnel.png").write_bytes(b"")
+    command._build_steps(TIER, benchmark, "release")
+    assert outcomes(out) == dict.fromkeys(names, "up to date") | {"profile report": "made"}
+
+
+def test_other_labels_make_what_reads_them_again(built: Built, tmp_path: Path) -> None:
+    benchmark = built.copy(tmp_path / "small")
+    path = benchmark.root.shard_table(SHARD, "policy_features")
+    rows = read_table(ALL_SCHEMAS["policy_features"], path).to_pylist()
+    rows[0]["ik_feasible"] = not rows[0]["ik_feasible"]
+    write_table(ALL_SCHEMAS["policy_features"], table_from_rows(ALL_SCHEMAS["policy_features"], rows), path)
+    done = {step.name: step.is_done(benchmark, TIER) for step in release_steps}
+    assert done == {"candidates and grasps": True, "splits": True, "release": False}
+
+
+def test_a_reused_report_is_shown_whole(built: Built, tmp_path: Path) -> None:
+    benchmark = built.copy(tmp_path / "small")
+    steps = [step for step in report_steps if step.name in ("profile report", "shard_diagnostics report")]
+    made, kept = ([_materialization(step.asset, benchmark) for step in steps] for _ in range(2))
+    for first, second in zip(made, kept, strict=True):
+        assert (first.pop("reused"), second.pop("reused")) == (False, True)
+        assert first == second
+        assert "report" in first
+    assert made[0]["n_shards"] == 1.0
+    assert any(name.startswith("figure profile") for name in made[1])
+    assert profile_step.is_done(benchmark, TIER)
+
+
+def _materialization(assets: AssetsDefinition, benchmark: SmallBenchmark) -> dict[str, object]:
+    (event,) = run([assets], TIER, benchmark).get_asset_materialization_events()
+    return {name: value.value for name, value in event.materialization.metadata.items()}
