@@ -199,7 +199,11 @@ def _add_object(asset: ET.Element, world: ET.Element, object_model: ObjectModel)
 def _add_hand(
     root: ET.Element, asset: ET.Element, world: ET.Element, object_model: ObjectModel, params: HandWorldParams, carrier: Carrier
 ) -> None:
-    """Palm and fingers; the TCP is the origin. Drives are motors whose force falls from `finger_force_n` at rest to 0 at full speed."""
+    """Palm and fingers; the TCP is the origin.
+
+    Drives are motors whose force falls from `finger_force_n` at rest to 0 at full speed, and that brake without bound beyond: pads that
+    are let go would throw a drive with bounded brakes open at five times its speed, and chatter (a clamped force is not damped implicitly).
+    """
     body = ET.SubElement(world, "body", name="panda_hand", pos=_text([0.0, 0.0, -TCP_FROM_HAND_M]), gravcomp="1")
     if carrier is Carrier.REST_FRAME:
         for name, axis in zip(SLIDES, np.eye(3), strict=True):
@@ -229,7 +233,6 @@ def _add_hand(
             gainprm=_text([gain, 0.0, 0.0]),
             biastype="affine",
             biasprm=_text([0.0, 0.0, -gain]),
-            forcerange=_text([-params.finger_force_n, params.finger_force_n]),
         )
     # One drive moves both fingers by a belt.
     equality = ET.SubElement(root, "equality")
