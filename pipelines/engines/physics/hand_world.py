@@ -80,6 +80,7 @@ class HandWorld:
         self._data.qpos[self._at.finger_q,] = fingers_m
         self._put_object(T_tcp_object)
         self.grip()
+        self._force_n, self._touched = self.params.finger_force_n, True
 
     def start_taking(
         self, label: str, q: Float[np.ndarray, "7"], finger_m: float, T_tcp_object: Float[np.ndarray, "4 4"], duration_s: float
@@ -100,7 +101,8 @@ class HandWorld:
         self.is_lost = self.is_stopped = False
         self._q = np.array(q, dtype=np.float64)
         self._T_hand = fk(self._q)
-        self._speed_m_s = 0.0
+        self._speed_m_s = self._force_n = self._wanted_n = 0.0  # of each finger: commanded speed, force now and wanted
+        self._is_gripping = self._touched = False
         self._untouched = 0
         self._names = fixed_bodies(self.obstacles)
         self._impulse = dict.fromkeys([(body, other) for body in ("object", "robot") for other in self._names], 0.0)
@@ -146,7 +148,6 @@ class HandWorld:
         else:
             self._put_object(T_tcp_object)
             self._data.qpos[self._at.finger_q,], self._data.qvel[self._at.finger_v,] = fingers
-            self.command_fingers(self._speed_m_s)
         at, to = self._at, self._T_base_frame[:3, :3].T @ R
         # Turn rates of a free body are in its own axes.
         self._data.qvel[at.object_v : at.object_v + 6] = [*(to @ v), *w]
@@ -179,13 +180,27 @@ class HandWorld:
 
     # ---------------------------------------------------------------- commands
     def command_fingers(self, speed_m_s: float) -> None:
-        """Speed of each finger, positive opens. A blocked finger presses with its drive's force in proportion, all of it at rated speed."""
-        self._speed_m_s = speed_m_s
-        self._data.ctrl[:] = speed_m_s
+        """Speed of each finger, positive opens; a grip is let go first."""
+        self._speed_m_s, self._wanted_n, self._is_gripping = speed_m_s, 0.0, False
 
     def grip(self) -> None:
-        """Close, and press with the grip force once blocked."""
-        self.command_fingers(-self.params.finger_speed_m_s)
+        """Close at rated speed, and press with the grip force once both fingers touch the object."""
+        self._speed_m_s, self._is_gripping = -self.params.finger_speed_m_s, True
+
+    def _drive_fingers(self) -> None:
+        """The drives' part in the next tick."""
+        p, at, data = self.params, self._at, self._data
+        if self._is_gripping:
+            touched = self.touching(FINGERS[0]) and self.touching(FINGERS[1])
+            if touched or self._touched:  # one tick without touch is forgiven: a new model has not felt anything yet
+                self._wanted_n = p.finger_force_n if touched or self._force_n > 0.0 else 0.0
+            else:
+                self._wanted_n = self._force_n = 0.0
+            self._touched = touched
+        step_n = p.finger_force_n * p.dt_s / p.grip_ramp_s
+        self._force_n += min(step_n, max(-step_n, self._wanted_n - self._force_n))
+        data.ctrl[:] = 0.0 if self._force_n > 0.0 else self._speed_m_s
+        data.qfrc_applied[at.finger_v,] = -self._force_n
 
     def load(self, force_n: Float[np.ndarray, "3"], torque_n_m: Float[np.ndarray, "3"], *, is_weightless: bool) -> None:
         """Load the object from outside for the next tick of a hand at rest: a force at the TCP and a torque, in the hand's axes.
@@ -231,6 +246,7 @@ class HandWorld:
         data, at = self._data, self._at
         self._q, self._T_hand = q, motion.T_base_tcp[k + 1]
         if at.carrier is Carrier.HAND_FRAME:
+            self._drive_fingers()
             self._model.opt.gravity[:] = self._gravity[k]
             self._load_with_inertia(motion, k)
             mujoco.mj_step(self._model, data, self.params.steps_per_tick)
@@ -240,6 +256,7 @@ class HandWorld:
             pose = motion.tcp_base_pose[k]
             data.mocap_pos[0], data.mocap_quat[0] = pose[:3], pose[_WXYZ]
         else:
+            self._drive_fingers()
             slides, v = slice(at.slide_q[0], at.slide_q[0] + 3), slice(at.slide_v[0], at.slide_v[0] + 3)
             data.qpos[slides], data.qvel[v], data.qfrc_applied[v] = self._slide_m[k], self._slide_m_s[k], self._slide_n[k]
             mujoco.mj_step(self._model, data, self.params.steps_per_tick)
@@ -267,6 +284,8 @@ class HandWorld:
         self._velocity = self._rate = self._drag = np.zeros(3)
         if self._at.carrier is Carrier.HAND_FRAME:
             self._set_gravity()
+        if self.has_robot:
+            self._drive_fingers()
         mujoco.mj_step(self._model, self._data, self.params.steps_per_tick)
         self._tick_done()
 
