@@ -53,7 +53,7 @@ class HandWorldParams:
     friction_scale: float = 1.0  # of every pair with the object, for the repeatability study
     rolling_friction_m: float = 0.0001  # round objects on table and obstacles: a can on wood rolls out in a second or two
 
-    # What the arm bears before it stops by itself. A contact force that the hand feels for a tick (4 ms) and that is larger ends the motion.
+    # What the arm bears before it stops by itself. A larger contact force on the hand, the mean of a tick (4 ms), ends the motion.
     # FCI collision reflexes are set between 20 and 100 N in libfranka's examples; the largest is taken, so that only a jam sets it off.
     protective_stop_n: float = 100.0
 

@@ -57,10 +57,13 @@ class HandWorld:
         self.n_steps = 0
 
     def __enter__(self) -> Self:
+        # Warnings are counted and raised as errors; MuJoCo's own handler would write them to a file in the working directory.
+        mujoco.set_mju_user_warning(_no_log)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._scenes.clear()
+        mujoco.set_mju_user_warning(None)
 
     # ---------------------------------------------------------------- starts
     def start_open(self, label: str, q: Float[np.ndarray, "7"], finger_m: float, T_base_object: Float[np.ndarray, "4 4"]) -> None:
@@ -71,9 +74,7 @@ class HandWorld:
         self._put_object(inverse(self._T_base_frame) @ T_base_object)
         self.command_fingers(0.0)
 
-    def start_held(
-        self, label: str, q: Float[np.ndarray, "7"], fingers_m: Sequence[float], T_tcp_object: Float[np.ndarray, "4 4"]
-    ) -> None:
+    def start_held(self, label: str, q: Float[np.ndarray, "7"], fingers_m: Sequence[float], T_tcp_object: Float[np.ndarray, "4 4"]) -> None:
         """A hold as it was when these numbers were measured."""
         self._begin(label, q)
         self._enter(Carrier.REST_FRAME)
@@ -118,14 +119,14 @@ class HandWorld:
         self._model = at.model
         self._data = mujoco.MjData(at.model)
         self._T_base_frame = np.eye(4) if carrier is Carrier.NO_HAND else self._T_hand.copy()
-        self._velocity, self._rate, self._drag = np.zeros(3), np.zeros(3), np.zeros(3)  # of the frame, in its axes
+        self._velocity, self._rate = np.zeros(3), np.zeros(3)  # of the frame, in its axes
         self._set_gravity()
         self._place_environment(inverse(self._T_base_frame))
         sensors = self._model.sensor_historyadr, self._model.sensor_history
         n = self.params.steps_per_tick
         # A history is [user, cursor, n times, n values]; the order within the ring does not matter to a sum.
         kept = [name for name, k in at.sensor_adr.items() if sensors[1][k, 0] > 0]
-        self._kept = [tuple(name.split(" ", 1)) for name in kept]
+        self._kept = [(name.split(" ", 1)[0], name.split(" ", 1)[1]) for name in kept]
         starts = np.array([sensors[0][at.sensor_adr[name]] + 2 + n for name in kept], dtype=np.int64)
         self._history = starts[:, None, None] + np.arange(n)[:, None] * 3 + np.arange(3)
         touch = [int(self._model.sensor_adr[at.sensor_adr[name]]) for name in ("panda_hand", *FINGERS) if name in at.sensor_adr]
@@ -153,14 +154,11 @@ class HandWorld:
         self._data.qvel[at.object_v : at.object_v + 6] = [*(to @ v), *w]
 
     def _object_twist(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """Velocity of the object's origin with respect to the base, in the frame's axes, and rate of turn in the object's axes.
-
-        The engine's velocity is that of half a step ago (it moves by the velocity at the step's end), so the frame's share is, too.
-        """
+        """Velocity of the object's origin with respect to the base, in the frame's axes, and rate of turn in the object's axes."""
         at, data = self._at, self._data
         r = data.qpos[at.object_q : at.object_q + 3]
         R_frame_object = self._object_in_frame()[:3, :3]
-        v = data.qvel[at.object_v : at.object_v + 3] + self._velocity + np.cross(self._rate, r) + self._drag * (self.params.step_s / 2)
+        v = data.qvel[at.object_v : at.object_v + 3] + self._velocity + _cross(self._rate, r)
         return v, data.qvel[at.object_v + 3 : at.object_v + 6] + R_frame_object.T @ self._rate
 
     def remove_hand(self) -> None:
@@ -255,12 +253,17 @@ class HandWorld:
             self._velocity, self._rate = motion.end_velocity_m_s[k], motion.end_rate_rad_s[k]
             pose = motion.tcp_base_pose[k]
             data.mocap_pos[0], data.mocap_quat[0] = pose[:3], pose[_WXYZ]
+            self._tick_done()
+            self._untouched = 0 if data.sensordata[self._touch].any() else self._untouched + 1
+            if self._untouched >= LOST_TICKS:
+                self.is_lost = True
+                self.remove_hand()
         else:
             self._drive_fingers()
             slides, v = slice(at.slide_q[0], at.slide_q[0] + 3), slice(at.slide_v[0], at.slide_v[0] + 3)
             data.qpos[slides], data.qvel[v], data.qfrc_applied[v] = self._slide_m[k], self._slide_m_s[k], self._slide_n[k]
             mujoco.mj_step(self._model, data, self.params.steps_per_tick)
-        self._tick_done()
+            self._tick_done()
 
     def _load_with_inertia(self, motion: HandMotion, k: int) -> None:
         """Inertia forces on the object in a frame that moves: from its place and speed at the tick's start, held for the tick."""
@@ -271,17 +274,17 @@ class HandWorld:
         to_com = Ro @ body.com_m
         r = data.qpos[at.object_q : at.object_q + 3] + to_com
         v = data.qvel[at.object_v : at.object_v + 3] + _cross(w, to_com)
-        self._drag = -(motion.acceleration_m_s2[k] + motion.position_gain_1_s2[k] @ r + motion.velocity_gain_1_s[k] @ v)
+        drag = -(motion.acceleration_m_s2[k] + motion.position_gain_1_s2[k] @ r + motion.velocity_gain_1_s[k] @ v)
         I = Ro @ body.inertia_kg_m2 @ Ro.T
         L = I @ rate
         # d/dt of I (rate + w) in the turning frame, less what the engine does itself with w alone.
         torque = -(I @ alpha) - _cross(rate, L + I @ w) - _cross(w, L) + I @ _cross(w, rate)
-        data.xfrc_applied[at.object_body, :3] = body.mass_kg * self._drag
+        data.xfrc_applied[at.object_body, :3] = body.mass_kg * drag
         data.xfrc_applied[at.object_body, 3:] = torque
 
     def _tick(self) -> None:
         """One tick of a resting frame: what the frame did is over."""
-        self._velocity = self._rate = self._drag = np.zeros(3)
+        self._velocity = self._rate = np.zeros(3)
         if self._at.carrier is Carrier.HAND_FRAME:
             self._set_gravity()
         if self.has_robot:
@@ -305,11 +308,6 @@ class HandWorld:
         if self._at.carrier is Carrier.NO_HAND:
             return
         self.is_stopped = self.is_stopped or sums[-1] > params.protective_stop_n * params.steps_per_tick
-        if self._at.carrier is Carrier.HAND_FRAME:
-            self._untouched = 0 if data.sensordata[self._touch].any() else self._untouched + 1
-            if self._untouched >= LOST_TICKS:
-                self.is_lost = True
-                self.remove_hand()
 
     # ---------------------------------------------------------------- measurements
     def _object_rotation(self) -> Float[np.ndarray, "3 3"]:
@@ -375,6 +373,10 @@ class HandWorld:
         apart = np.linalg.norm(data.geom_xpos[hand][:, None] - data.geom_xpos[part], axis=-1)
         near = np.argwhere(apart - model.geom_rbound[hand][:, None] - model.geom_rbound[part] <= gap_m)
         return all(mujoco.mj_geomDistance(model, data, hand[a], part[b], 1.01 * gap_m, None) > gap_m for a, b in near.tolist())
+
+
+def _no_log(message: str) -> None:
+    """Say nothing."""
 
 
 def _cross(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

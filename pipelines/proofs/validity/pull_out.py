@@ -42,9 +42,7 @@ def _capacity_n(object_model: ObjectModel, params: HandWorldParams) -> float:
     return 2.0 * params.pad_friction * params.friction_scale * object_model.friction * params.finger_force_n
 
 
-def _ramp(
-    object_model: ObjectModel, params: HandWorldParams, force_n: Float[np.ndarray, "3"], torque_n_m: Float[np.ndarray, "3"]
-) -> float:
+def _ramp(object_model: ObjectModel, params: HandWorldParams, force_n: Float[np.ndarray, "3"], torque_n_m: Float[np.ndarray, "3"]) -> float:
     """Share of a load at which the object moves, grown from 0 to one and a half of it."""
     T, width_m = across_the_jaw(object_model)
     with HandWorld(object_model, (), params) as world:
