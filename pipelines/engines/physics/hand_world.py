@@ -20,9 +20,11 @@ import numpy as np
 from jaxtyping import Float
 
 from objects.object_model import ObjectModel
+from pipelines.engines.physics.contact_forces import ContactForces
 from pipelines.engines.physics.errors import PhysicsError
+from pipelines.engines.physics.finger_drives import FingerDrives
 from pipelines.engines.physics.hand_model import FINGERS, HAND_MASS_KG, Carrier, SceneModel, build_model, fixed_bodies
-from pipelines.engines.physics.hand_motion import HandMotion
+from pipelines.engines.physics.hand_motion import HandMotion, cross, inertia_load
 from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.engines.robot.arm import fk
 from pipelines.values import Obstacle
@@ -80,8 +82,7 @@ class HandWorld:
         self._enter(Carrier.REST_FRAME)
         self._data.qpos[self._at.finger_q,] = fingers_m
         self._put_object(T_tcp_object)
-        self.grip()
-        self._force_n, self._touched = self.params.finger_force_n, True
+        self._drives.hold_on(self.params)
 
     def start_taking(
         self, label: str, q: Float[np.ndarray, "7"], finger_m: float, T_tcp_object: Float[np.ndarray, "4 4"], duration_s: float
@@ -102,8 +103,7 @@ class HandWorld:
         self.is_lost = self.is_stopped = False
         self._q = np.array(q, dtype=np.float64)
         self._T_hand = fk(self._q)
-        self._speed_m_s = self._force_n = self._wanted_n = 0.0  # of each finger: commanded speed, force now and wanted
-        self._is_gripping = self._touched = False
+        self._drives = FingerDrives()
         self._untouched = 0
         self._names = fixed_bodies(self.obstacles)
         self._impulse = dict.fromkeys([(body, other) for body in ("object", "robot") for other in self._names], 0.0)
@@ -122,15 +122,7 @@ class HandWorld:
         self._velocity, self._rate = np.zeros(3), np.zeros(3)  # of the frame, in its axes
         self._set_gravity()
         self._place_environment(inverse(self._T_base_frame))
-        sensors = self._model.sensor_historyadr, self._model.sensor_history
-        n = self.params.steps_per_tick
-        # A history is [user, cursor, n times, n values]; the order within the ring does not matter to a sum.
-        kept = [name for name, k in at.sensor_adr.items() if sensors[1][k, 0] > 0]
-        self._kept = [(name.split(" ", 1)[0], name.split(" ", 1)[1]) for name in kept]
-        starts = np.array([sensors[0][at.sensor_adr[name]] + 2 + n for name in kept], dtype=np.int64)
-        self._history = starts[:, None, None] + np.arange(n)[:, None] * 3 + np.arange(3)
-        touch = [int(self._model.sensor_adr[at.sensor_adr[name]]) for name in ("panda_hand", *FINGERS) if name in at.sensor_adr]
-        self._touch = np.array(touch, dtype=np.int64)[:, None] + np.arange(3)
+        self._forces = ContactForces(at, self.params.steps_per_tick)
 
     def _change(self, carrier: Carrier) -> None:
         """Carry the state over to another model; the hand is at rest, or leaves."""
@@ -158,7 +150,7 @@ class HandWorld:
         at, data = self._at, self._data
         r = data.qpos[at.object_q : at.object_q + 3]
         R_frame_object = self._object_in_frame()[:3, :3]
-        v = data.qvel[at.object_v : at.object_v + 3] + self._velocity + _cross(self._rate, r)
+        v = data.qvel[at.object_v : at.object_v + 3] + self._velocity + cross(self._rate, r)
         return v, data.qvel[at.object_v + 3 : at.object_v + 6] + R_frame_object.T @ self._rate
 
     def remove_hand(self) -> None:
@@ -179,26 +171,16 @@ class HandWorld:
     # ---------------------------------------------------------------- commands
     def command_fingers(self, speed_m_s: float) -> None:
         """Speed of each finger, positive opens; a grip is let go first."""
-        self._speed_m_s, self._wanted_n, self._is_gripping = speed_m_s, 0.0, False
+        self._drives.command(speed_m_s)
 
     def grip(self) -> None:
         """Close at rated speed, and press with the grip force once both fingers touch the object."""
-        self._speed_m_s, self._is_gripping = -self.params.finger_speed_m_s, True
+        self._drives.grip(self.params)
 
     def _drive_fingers(self) -> None:
-        """The drives' part in the next tick."""
-        p, at, data = self.params, self._at, self._data
-        if self._is_gripping:
-            touched = self.touching(FINGERS[0]) and self.touching(FINGERS[1])
-            if touched or self._touched:  # one tick without touch is forgiven: a new model has not felt anything yet
-                self._wanted_n = p.finger_force_n if touched or self._force_n > 0.0 else 0.0
-            else:
-                self._wanted_n = self._force_n = 0.0
-            self._touched = touched
-        step_n = p.finger_force_n * p.dt_s / p.grip_ramp_s
-        self._force_n += min(step_n, max(-step_n, self._wanted_n - self._force_n))
-        data.ctrl[:] = 0.0 if self._force_n > 0.0 else self._speed_m_s
-        data.qfrc_applied[at.finger_v,] = -self._force_n
+        speed_m_s, force_n = self._drives.tick(all(map(self.touching, FINGERS)), self.params)
+        self._data.ctrl[:] = speed_m_s
+        self._data.qfrc_applied[self._at.finger_v,] = -force_n
 
     def load(self, force_n: Float[np.ndarray, "3"], torque_n_m: Float[np.ndarray, "3"], *, is_weightless: bool) -> None:
         """Load the object from outside for the next tick of a hand at rest: a force at the TCP and a torque, in the hand's axes.
@@ -207,7 +189,7 @@ class HandWorld:
         """
         T = self._object_in_frame()
         r = T[:3, :3] @ self.object_model.com_m + T[:3, 3]
-        self._data.xfrc_applied[self._at.object_body] = [*force_n, *(torque_n_m - _cross(r, np.asarray(force_n)))]
+        self._data.xfrc_applied[self._at.object_body] = [*force_n, *(torque_n_m - cross(r, np.asarray(force_n)))]
         if is_weightless:
             self._model.opt.gravity[:] = 0.0
 
@@ -246,7 +228,8 @@ class HandWorld:
         if at.carrier is Carrier.HAND_FRAME:
             self._drive_fingers()
             self._model.opt.gravity[:] = self._gravity[k]
-            self._load_with_inertia(motion, k)
+            r_v = data.qpos[at.object_q : at.object_q + 3], data.qvel[at.object_v : at.object_v + 6]
+            data.xfrc_applied[at.object_body] = inertia_load(motion, k, self.object_model, self._object_rotation(), *r_v)
             mujoco.mj_step(self._model, data, self.params.steps_per_tick)
             data.xfrc_applied[at.object_body] = 0.0
             self._T_base_frame = self._T_hand
@@ -254,7 +237,7 @@ class HandWorld:
             pose = motion.tcp_base_pose[k]
             data.mocap_pos[0], data.mocap_quat[0] = pose[:3], pose[_WXYZ]
             self._tick_done()
-            self._untouched = 0 if data.sensordata[self._touch].any() else self._untouched + 1
+            self._untouched = 0 if self._forces.is_touched(data) else self._untouched + 1
             if self._untouched >= LOST_TICKS:
                 self.is_lost = True
                 self.remove_hand()
@@ -264,23 +247,6 @@ class HandWorld:
             data.qpos[slides], data.qvel[v], data.qfrc_applied[v] = self._slide_m[k], self._slide_m_s[k], self._slide_n[k]
             mujoco.mj_step(self._model, data, self.params.steps_per_tick)
             self._tick_done()
-
-    def _load_with_inertia(self, motion: HandMotion, k: int) -> None:
-        """Inertia forces on the object in a frame that moves: from its place and speed at the tick's start, held for the tick."""
-        data, at, body = self._data, self._at, self.object_model
-        rate, alpha = motion.rate_rad_s[k], motion.angular_acceleration_rad_s2[k]
-        Ro = self._object_rotation()
-        w = Ro @ data.qvel[at.object_v + 3 : at.object_v + 6]
-        to_com = Ro @ body.com_m
-        r = data.qpos[at.object_q : at.object_q + 3] + to_com
-        v = data.qvel[at.object_v : at.object_v + 3] + _cross(w, to_com)
-        drag = -(motion.acceleration_m_s2[k] + motion.position_gain_1_s2[k] @ r + motion.velocity_gain_1_s[k] @ v)
-        I = Ro @ body.inertia_kg_m2 @ Ro.T
-        L = I @ rate
-        # d/dt of I (rate + w) in the turning frame, less what the engine does itself with w alone.
-        torque = -(I @ alpha) - _cross(rate, L + I @ w) - _cross(w, L) + I @ _cross(w, rate)
-        data.xfrc_applied[at.object_body, :3] = body.mass_kg * drag
-        data.xfrc_applied[at.object_body, 3:] = torque
 
     def _tick(self) -> None:
         """One tick of a resting frame: what the frame did is over."""
@@ -296,18 +262,17 @@ class HandWorld:
         """Sum up the tick's contact forces, and see whether the engine, the hand or the hold has failed."""
         data, params = self._data, self.params
         self.n_steps += 1
-        forces = data.history[self._history]
-        sums = np.sqrt(np.einsum("snk,snk->sn", forces, forces)).sum(axis=1).tolist()
-        for key, total in zip(self._kept, sums, strict=True):
-            if total:
-                self._impulse[key] += total * params.step_s
+        sums_n = self._forces.sums_n(data)
+        for pair, total_n in zip(self._forces.pairs, sums_n, strict=True):
+            if total_n:
+                self._impulse[pair] += total_n * params.step_s
         self.most_iterations = max(self.most_iterations, int(data.solver_niter[0]))
         if data.warning.number.any():
             numbers = {kind: n for kind, n in zip(_WARNINGS, data.warning.number.tolist(), strict=True) if n}
             raise PhysicsError(f"{self._label}: MuJoCo warned after {self.n_steps} ticks: {numbers}, must not")
         if self._at.carrier is Carrier.NO_HAND:
             return
-        self.is_stopped = self.is_stopped or sums[-1] > params.protective_stop_n * params.steps_per_tick
+        self.is_stopped = self.is_stopped or sums_n[-1] > params.protective_stop_n * params.steps_per_tick
 
     # ---------------------------------------------------------------- measurements
     def _object_rotation(self) -> Float[np.ndarray, "3 3"]:
@@ -352,8 +317,7 @@ class HandWorld:
 
     def touching(self, part: str) -> bool:
         """Whether a part of the hand ("panda_hand" or a finger) pressed on the object in the last step."""
-        address = self._model.sensor_adr[self._at.sensor_adr[part]]
-        return bool(self._data.sensordata[address : address + 3].any())
+        return self._forces.presses(self._data, part)
 
     @property
     def has_robot(self) -> bool:
@@ -377,8 +341,3 @@ class HandWorld:
 
 def _no_log(message: str) -> None:
     """Say nothing."""
-
-
-def _cross(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """numpy's cross product costs ten times as much on three numbers."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
