@@ -11,6 +11,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -26,6 +27,8 @@ from pipelines.values import Obstacle
 from tables.poses import pose_of
 from tables.vocabulary import Symmetry
 
+Attributes = dict[str, Any]  # of an XML element: all are text; its type stubs want no narrower dictionary
+
 FINGERS = ("panda_leftfinger", "panda_rightfinger")
 HAND_PARTS = ("panda_hand", *FINGERS)
 SLIDES = ("hand_x", "hand_y", "hand_z")
@@ -35,15 +38,15 @@ HAND_MASS_KG = 1e4
 # Contacts of MuJoCo are springs and dampers per mass. Of the palm and the bare fingers: as stiff as a step of a millisecond bears.
 # Of table and obstacles: an object sinks in by 16 um over the number of its contacts, and a hand that presses it down a millimetre
 # is met by hundreds of newton, not thousands, before it stops.
-_HARD = {"solref": "0.0021 1", "solimp": "0.98 0.98 0.001 0.5 2"}
-_TABLE = {"solref": "0.0042 1", "solimp": "0.9 0.9 0.001 0.5 2"}
+_HARD: Attributes = {"solref": "0.0021 1", "solimp": "0.98 0.98 0.001 0.5 2"}
+_TABLE: Attributes = {"solref": "0.0042 1", "solimp": "0.9 0.9 0.001 0.5 2"}
 # How fast a pad's contact takes up speed, 1/s: below 1 / step. With stiffness and relaxation given it moves nothing else but the condition
 # of the solver's matrix.
 PAD_RATE_PER_S = 800.0
 # Collision groups: environment, object, hand. The object meets both others, the hand the environment, nothing itself.
-_ENVIRONMENT = {"contype": "1", "conaffinity": "0"}
-_OBJECT = {"contype": "2", "conaffinity": "5"}
-_HAND = {"contype": "4", "conaffinity": "1"}
+_ENVIRONMENT: Attributes = {"contype": "1", "conaffinity": "0"}
+_OBJECT: Attributes = {"contype": "2", "conaffinity": "5"}
+_HAND: Attributes = {"contype": "4", "conaffinity": "1"}
 
 
 class Carrier(StrEnum):
@@ -118,7 +121,9 @@ def _xml(object_model: ObjectModel, obstacles: Sequence[Obstacle], params: HandW
         root,
         "option",
         timestep=repr(params.step_s),
-        integrator="implicitfast",
+        # Whatever is damped implicitly outside of the constraint solver (implicitfast) is not what the solver reckoned with: pads
+        # then stay pressed in by 0.3 mm under forces that belong to 0.04. Here nothing is.
+        integrator="Euler",
         cone="elliptic",
         solver="Newton",
         # MuJoCo 4.0.0 factorises sparse Hessians wrongly (its issue 3767); a dozen degrees of freedom are dense anyway.
@@ -147,8 +152,8 @@ def _xml(object_model: ObjectModel, obstacles: Sequence[Obstacle], params: HandW
     return ET.tostring(root, encoding="unicode")
 
 
-def _add_force(sensors: ET.Element, name: str, history: str, **between: str) -> None:
-    """Net contact force between two things; `history` steps of it are kept, so that no step's force is lost to whoever looks once a tick."""
+def _add_force(sensors: ET.Element, name: str, history: str, **between: Any) -> None:
+    """Net contact force between two things; `history` steps of it are kept: no step's force is lost to whoever looks once a tick."""
     ET.SubElement(sensors, "contact", name=name, data="force", reduce="netforce", nsample=history, **between)
 
 
@@ -206,22 +211,22 @@ def _add_object(asset: ET.Element, world: ET.Element, object_model: ObjectModel)
 def _add_hand(
     root: ET.Element, asset: ET.Element, world: ET.Element, object_model: ObjectModel, params: HandWorldParams, carrier: Carrier
 ) -> None:
-    """Palm and fingers; the TCP is the origin. Drives are motors whose force falls from `finger_force_n` at rest to 0 at full speed."""
+    """Palm and fingers; the TCP is the origin. Drives are servos of speed; the grip force is applied on top of them."""
     body = ET.SubElement(world, "body", name="panda_hand", pos=_text([0.0, 0.0, -TCP_FROM_HAND_M]), gravcomp="1")
     if carrier is Carrier.REST_FRAME:
         for name, axis in zip(SLIDES, np.eye(3), strict=True):
             ET.SubElement(body, "joint", name=name, type="slide", axis=_text(axis))
     ET.SubElement(body, "inertial", pos="0 0 0", mass=repr(HAND_MASS_KG), diaginertia="1 1 1")
     scaled = object_model.friction * params.friction_scale
-    bare = {"friction": _text([params.table_friction * scaled, 1e-5, 1e-5]), "priority": "2", "condim": "3", **_HAND, **_HARD}
+    bare: Attributes = {"friction": _text([params.table_friction * scaled, 1e-5, 1e-5]), "priority": "2", "condim": "3", **_HAND, **_HARD}
     mu_pad = params.pad_friction * scaled
-    pad = {**bare, "friction": _text([mu_pad, 1e-5, 1e-5])}
+    pad: Attributes = {**bare, "friction": _text([mu_pad, 1e-5, 1e-5])}
     ET.SubElement(asset, "mesh", name="panda_hand", vertex=_text(link_mesh_vertices("panda_hand")), inertia="convex")
     ET.SubElement(body, "geom", name="panda_hand 0", type="mesh", mesh="panda_hand", **bare)
     cells = pad_cells(params.cells_per_side, params.pad_lever_scale)
-    cell = {**bare, "friction": _text([mu_pad, mu_pad * cells.lever_m, 1e-5]), "condim": "4"}
+    cell: Attributes = {**bare, "friction": _text([mu_pad, mu_pad * cells.lever_m, 1e-5]), "condim": "4"}
     drives = ET.SubElement(root, "actuator")
-    gain = params.finger_force_n / params.finger_speed_m_s
+    gain = params.finger_mass_kg / params.finger_lag_s
     for side, name in zip((1.0, -1.0), FINGERS, strict=True):
         finger = ET.SubElement(body, "body", name=name, pos=_text([0.0, 0.0, FINGER_FROM_HAND_M]), gravcomp="1")
         ET.SubElement(finger, "joint", name=name, type="slide", axis=_text([0.0, side, 0.0]), range=_text([0.0, MAX_JAW_M / 2]), **_limit())
@@ -243,12 +248,12 @@ def _add_hand(
     ET.SubElement(equality, "joint", joint1=FINGERS[0], joint2=FINGERS[1], polycoef="0 1 0 0 0", **_HARD)
 
 
-def _limit() -> dict[str, str]:
+def _limit() -> Attributes:
     return {"solreflimit": _HARD["solref"], "solimplimit": _HARD["solimp"]}
 
 
 def _add_finger_geoms(
-    finger: ET.Element, name: str, side: float, cells: PadCells, protrusion_m: float, surfaces: Mapping[str, dict[str, str]]
+    finger: ET.Element, name: str, side: float, cells: PadCells, protrusion_m: float, surfaces: Mapping[str, Attributes]
 ) -> None:
     """The pad's cells, the rigid block behind them, and the bare finger."""
     for k, ((x, y, z), (sx, sy, sz)) in enumerate(FINGER_BOXES):
@@ -260,7 +265,7 @@ def _add_finger_geoms(
                     finger, "geom", name=f"{name} cell {c}", type="sphere", size=repr(cells.radius_m), pos=centre, **surfaces["cell"]
                 )
             y, sy = y + protrusion_m / 2, sy - protrusion_m
-        box = {"pos": _text([x, side * y, z]), "size": _text([sx / 2, sy / 2, sz / 2])}
+        box: Attributes = {"pos": _text([x, side * y, z]), "size": _text([sx / 2, sy / 2, sz / 2])}
         ET.SubElement(finger, "geom", name=f"{name} {k}", type="box", **box, **surfaces["pad" if is_pad else "bare"])
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from objects.object_model import ObjectModel
 from pipelines.engines.planning.trajectory import Trajectory
 from pipelines.engines.robot.arm import fk
 from tables.poses import inverse, pose_of, rotation_angle_rad
@@ -82,12 +83,43 @@ def hand_motion(trajectory: Trajectory, tick_s: float) -> HandMotion:
     )
 
 
+def inertia_load(
+    motion: HandMotion,
+    k: int,
+    body: ObjectModel,
+    R_tcp_object: Float[np.ndarray, "3 3"],
+    origin_m: Float[np.ndarray, "3"],
+    velocity: Float[np.ndarray, "6"],
+) -> Float[np.ndarray, "6"]:
+    """Inertia force (at the centre of mass) and torque on an object in the hand's frame in tick k, in its axes.
+
+    Args:
+        origin_m: of the object's frame.
+        velocity: of its origin in the hand's axes, and its rate of turn in its own axes, both with respect to the hand.
+    """
+    rate, alpha = motion.rate_rad_s[k], motion.angular_acceleration_rad_s2[k]
+    w = R_tcp_object @ velocity[3:]
+    to_com = R_tcp_object @ body.com_m
+    r, v = origin_m + to_com, velocity[:3] + cross(w, to_com)
+    drag = -(motion.acceleration_m_s2[k] + motion.position_gain_1_s2[k] @ r + motion.velocity_gain_1_s[k] @ v)
+    I = R_tcp_object @ body.inertia_kg_m2 @ R_tcp_object.T
+    L = I @ rate
+    # d/dt of I (rate + w) in the turning frame, less what an engine that knows w alone does itself.
+    torque = -(I @ alpha) - cross(rate, L + I @ w) - cross(w, L) + I @ cross(w, rate)
+    return np.concatenate([body.mass_kg * drag, torque])
+
+
+def cross(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """numpy's cross product costs ten times as much on three numbers."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
 def _small_turn(R_a: Float[np.ndarray, "n 3 3"], R_b: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
     """Rotation vectors from a to b in a's axes; exact to fifth order in the angle, which is below 0.02 rad in half a tick."""
     S = np.einsum("nji,njk->nik", R_a, R_b)
     w = 0.5 * np.stack([S[:, 2, 1] - S[:, 1, 2], S[:, 0, 2] - S[:, 2, 0], S[:, 1, 0] - S[:, 0, 1]], axis=-1)
     s2 = np.sum(w * w, axis=-1, keepdims=True)
-    return w * (1.0 + s2 / 6.0 + 3.0 * s2 * s2 / 40.0)
+    return np.asarray(w * (1.0 + s2 / 6.0 + 3.0 * s2 * s2 / 40.0))
 
 
 def _cross_matrix(v: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:

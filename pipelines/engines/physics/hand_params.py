@@ -34,6 +34,10 @@ class HandWorldParams:
     finger_speed_m_s: float = 0.05
     # MuJoCo Menagerie's model of this hand (system identification of the real one): 15 g of finger and 0.1 kg of drive a finger.
     finger_mass_kg: float = 0.115
+    finger_lag_s: float = 0.004  # in which a free finger takes up a commanded speed
+    # In which the grip force rises once both fingers touch, and falls before they open. A force that stops at once lets the pads throw the
+    # fingers open, one before the other, and kick what they release.
+    grip_ramp_s: float = 0.02
 
     # A pad is a block of rubber of 60 Shore A (Gent 1958: 3.6 MPa) with a face of 17.5 x 18.5 mm: 0.4 MN/m where it may bulge, 4 MN/m where
     # it may not (2 to 3 mm thick, bonded on one side). The geometric middle: 50 N press an even face in by 40 um.
@@ -49,7 +53,7 @@ class HandWorldParams:
     friction_scale: float = 1.0  # of every pair with the object, for the repeatability study
     rolling_friction_m: float = 0.0001  # round objects on table and obstacles: a can on wood rolls out in a second or two
 
-    # What the arm bears before it stops by itself. A contact force that the hand feels for a tick (4 ms) and that is larger ends the motion.
+    # What the arm bears before it stops by itself. A larger contact force on the hand, the mean of a tick (4 ms), ends the motion.
     # FCI collision reflexes are set between 20 and 100 N in libfranka's examples; the largest is taken, so that only a jam sets it off.
     protective_stop_n: float = 100.0
 

@@ -13,6 +13,11 @@ from pipelines.engines.physics.hand_world import HandWorld
 from pipelines.engines.physics.phases import Phase, Watch, no_watch, pose_difference
 from pipelines.engines.planning.trajectory import Trajectory
 
+__all__ = [
+    "Phase", "RestWatch", "Watch", "close_fingers", "hold", "move", "n_steps_of", "no_watch", "open_fingers", "pose_difference",
+    "pressing_fingers", "settle",
+]  # fmt: skip
+
 
 def move(world: HandWorld, phase: Phase, trajectory: Trajectory, watch: Watch = no_watch) -> bool:
     """Follow a trajectory, one sample a tick; False where the watch, a lost object or a protective stop ended it."""
@@ -41,6 +46,8 @@ def hold(world: HandWorld, phase: Phase, duration_s: float, watch: Watch = no_wa
 
 def close_fingers(world: HandWorld, max_s: float, watch: Watch = no_watch) -> bool:
     """Close until both fingers press on the object in two checks in a row, and go on pressing; False where they never do."""
+    if world.is_lost or world.is_stopped:
+        return False
     world.grip()
     n_pressing = 0
     for k in range(1, n_steps_of(world, max_s) + 1):
@@ -56,6 +63,8 @@ def close_fingers(world: HandWorld, max_s: float, watch: Watch = no_watch) -> bo
 
 def open_fingers(world: HandWorld, jaw_m: float, max_s: float, watch: Watch = no_watch) -> bool:
     """Open both fingers to half of `jaw_m` each and stop there; False where something kept them from it."""
+    if world.is_lost or world.is_stopped:
+        return False
     world.command_fingers(world.params.finger_speed_m_s)
     for k in range(1, n_steps_of(world, max_s) + 1):
         world.step()

@@ -20,9 +20,11 @@ import numpy as np
 from jaxtyping import Float
 
 from objects.object_model import ObjectModel
+from pipelines.engines.physics.contact_forces import ContactForces
 from pipelines.engines.physics.errors import PhysicsError
-from pipelines.engines.physics.hand_model import HAND_MASS_KG, HAND_PARTS, Carrier, SceneModel, build_model, fixed_bodies
-from pipelines.engines.physics.hand_motion import HandMotion
+from pipelines.engines.physics.finger_drives import FingerDrives
+from pipelines.engines.physics.hand_model import FINGERS, HAND_MASS_KG, Carrier, SceneModel, build_model, fixed_bodies
+from pipelines.engines.physics.hand_motion import HandMotion, cross, inertia_load
 from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.engines.robot.arm import fk
 from pipelines.values import Obstacle
@@ -57,10 +59,13 @@ class HandWorld:
         self.n_steps = 0
 
     def __enter__(self) -> Self:
+        # Warnings are counted and raised as errors; MuJoCo's own handler would write them to a file in the working directory.
+        mujoco.set_mju_user_warning(_no_log)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._scenes.clear()
+        mujoco.set_mju_user_warning(None)
 
     # ---------------------------------------------------------------- starts
     def start_open(self, label: str, q: Float[np.ndarray, "7"], finger_m: float, T_base_object: Float[np.ndarray, "4 4"]) -> None:
@@ -77,7 +82,7 @@ class HandWorld:
         self._enter(Carrier.REST_FRAME)
         self._data.qpos[self._at.finger_q,] = fingers_m
         self._put_object(T_tcp_object)
-        self.grip()
+        self._drives.hold_on(self.params)
 
     def start_taking(
         self, label: str, q: Float[np.ndarray, "7"], finger_m: float, T_tcp_object: Float[np.ndarray, "4 4"], duration_s: float
@@ -98,7 +103,7 @@ class HandWorld:
         self.is_lost = self.is_stopped = False
         self._q = np.array(q, dtype=np.float64)
         self._T_hand = fk(self._q)
-        self._speed_m_s = 0.0
+        self._drives = FingerDrives()
         self._untouched = 0
         self._names = fixed_bodies(self.obstacles)
         self._impulse = dict.fromkeys([(body, other) for body in ("object", "robot") for other in self._names], 0.0)
@@ -114,18 +119,10 @@ class HandWorld:
         self._model = at.model
         self._data = mujoco.MjData(at.model)
         self._T_base_frame = np.eye(4) if carrier is Carrier.NO_HAND else self._T_hand.copy()
-        self._velocity, self._rate, self._drag = np.zeros(3), np.zeros(3), np.zeros(3)  # of the frame, in its axes
+        self._velocity, self._rate = np.zeros(3), np.zeros(3)  # of the frame, in its axes
         self._set_gravity()
         self._place_environment(inverse(self._T_base_frame))
-        sensors = self._model.sensor_historyadr, self._model.sensor_history
-        n = self.params.steps_per_tick
-        # A history is [user, cursor, n times, n values]; the order within the ring does not matter to a sum.
-        kept = [name for name, k in at.sensor_adr.items() if sensors[1][k, 0] > 0]
-        self._kept = [tuple(name.split(" ", 1)) for name in kept]
-        starts = np.array([sensors[0][at.sensor_adr[name]] + 2 + n for name in kept], dtype=np.int64)
-        self._history = starts[:, None, None] + np.arange(n)[:, None] * 3 + np.arange(3)
-        touch = [int(self._model.sensor_adr[at.sensor_adr[name]]) for name in HAND_PARTS if name in at.sensor_adr]
-        self._touch = np.array(touch, dtype=np.int64)[:, None] + np.arange(3)
+        self._forces = ContactForces(at, self.params.steps_per_tick)
 
     def _change(self, carrier: Carrier) -> None:
         """Carry the state over to another model; the hand is at rest, or leaves."""
@@ -144,20 +141,16 @@ class HandWorld:
         else:
             self._put_object(T_tcp_object)
             self._data.qpos[self._at.finger_q,], self._data.qvel[self._at.finger_v,] = fingers
-            self.command_fingers(self._speed_m_s)
         at, to = self._at, self._T_base_frame[:3, :3].T @ R
         # Turn rates of a free body are in its own axes.
         self._data.qvel[at.object_v : at.object_v + 6] = [*(to @ v), *w]
 
     def _object_twist(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """Velocity of the object's origin with respect to the base, in the frame's axes, and rate of turn in the object's axes.
-
-        The engine's velocity is that of half a step ago (it moves by the velocity at the step's end), so the frame's share is, too.
-        """
+        """Velocity of the object's origin with respect to the base, in the frame's axes, and rate of turn in the object's axes."""
         at, data = self._at, self._data
         r = data.qpos[at.object_q : at.object_q + 3]
         R_frame_object = self._object_in_frame()[:3, :3]
-        v = data.qvel[at.object_v : at.object_v + 3] + self._velocity + np.cross(self._rate, r) + self._drag * (self.params.step_s / 2)
+        v = data.qvel[at.object_v : at.object_v + 3] + self._velocity + cross(self._rate, r)
         return v, data.qvel[at.object_v + 3 : at.object_v + 6] + R_frame_object.T @ self._rate
 
     def remove_hand(self) -> None:
@@ -177,13 +170,17 @@ class HandWorld:
 
     # ---------------------------------------------------------------- commands
     def command_fingers(self, speed_m_s: float) -> None:
-        """Speed of each finger, positive opens. A blocked finger presses with its drive's force in proportion, all of it at rated speed."""
-        self._speed_m_s = speed_m_s
-        self._data.ctrl[:] = speed_m_s
+        """Speed of each finger, positive opens; a grip is let go first."""
+        self._drives.command(speed_m_s)
 
     def grip(self) -> None:
-        """Close, and press with the grip force once blocked."""
-        self.command_fingers(-self.params.finger_speed_m_s)
+        """Close at rated speed, and press with the grip force once both fingers touch the object."""
+        self._drives.grip(self.params)
+
+    def _drive_fingers(self) -> None:
+        speed_m_s, force_n = self._drives.tick(all(map(self.touching, FINGERS)), self.params)
+        self._data.ctrl[:] = speed_m_s
+        self._data.qfrc_applied[self._at.finger_v,] = -force_n
 
     def load(self, force_n: Float[np.ndarray, "3"], torque_n_m: Float[np.ndarray, "3"], *, is_weightless: bool) -> None:
         """Load the object from outside for the next tick of a hand at rest: a force at the TCP and a torque, in the hand's axes.
@@ -192,7 +189,7 @@ class HandWorld:
         """
         T = self._object_in_frame()
         r = T[:3, :3] @ self.object_model.com_m + T[:3, 3]
-        self._data.xfrc_applied[self._at.object_body] = [*force_n, *(torque_n_m - _cross(r, np.asarray(force_n)))]
+        self._data.xfrc_applied[self._at.object_body] = [*force_n, *(torque_n_m - cross(r, np.asarray(force_n)))]
         if is_weightless:
             self._model.opt.gravity[:] = 0.0
 
@@ -229,42 +226,35 @@ class HandWorld:
         data, at = self._data, self._at
         self._q, self._T_hand = q, motion.T_base_tcp[k + 1]
         if at.carrier is Carrier.HAND_FRAME:
+            self._drive_fingers()
             self._model.opt.gravity[:] = self._gravity[k]
-            self._load_with_inertia(motion, k)
+            r_v = data.qpos[at.object_q : at.object_q + 3], data.qvel[at.object_v : at.object_v + 6]
+            data.xfrc_applied[at.object_body] = inertia_load(motion, k, self.object_model, self._object_rotation(), *r_v)
             mujoco.mj_step(self._model, data, self.params.steps_per_tick)
             data.xfrc_applied[at.object_body] = 0.0
             self._T_base_frame = self._T_hand
             self._velocity, self._rate = motion.end_velocity_m_s[k], motion.end_rate_rad_s[k]
             pose = motion.tcp_base_pose[k]
             data.mocap_pos[0], data.mocap_quat[0] = pose[:3], pose[_WXYZ]
+            self._tick_done()
+            self._untouched = 0 if self._forces.is_touched(data) else self._untouched + 1
+            if self._untouched >= LOST_TICKS:
+                self.is_lost = True
+                self.remove_hand()
         else:
+            self._drive_fingers()
             slides, v = slice(at.slide_q[0], at.slide_q[0] + 3), slice(at.slide_v[0], at.slide_v[0] + 3)
             data.qpos[slides], data.qvel[v], data.qfrc_applied[v] = self._slide_m[k], self._slide_m_s[k], self._slide_n[k]
             mujoco.mj_step(self._model, data, self.params.steps_per_tick)
-        self._tick_done()
-
-    def _load_with_inertia(self, motion: HandMotion, k: int) -> None:
-        """Inertia forces on the object in a frame that moves: from its place and speed at the tick's start, held for the tick."""
-        data, at, body = self._data, self._at, self.object_model
-        rate, alpha = motion.rate_rad_s[k], motion.angular_acceleration_rad_s2[k]
-        Ro = self._object_rotation()
-        w = Ro @ data.qvel[at.object_v + 3 : at.object_v + 6]
-        to_com = Ro @ body.com_m
-        r = data.qpos[at.object_q : at.object_q + 3] + to_com
-        v = data.qvel[at.object_v : at.object_v + 3] + _cross(w, to_com)
-        self._drag = -(motion.acceleration_m_s2[k] + motion.position_gain_1_s2[k] @ r + motion.velocity_gain_1_s[k] @ v)
-        I = Ro @ body.inertia_kg_m2 @ Ro.T
-        L = I @ rate
-        # d/dt of I (rate + w) in the turning frame, less what the engine does itself with w alone.
-        torque = -(I @ alpha) - _cross(rate, L + I @ w) - _cross(w, L) + I @ _cross(w, rate)
-        data.xfrc_applied[at.object_body, :3] = body.mass_kg * self._drag
-        data.xfrc_applied[at.object_body, 3:] = torque
+            self._tick_done()
 
     def _tick(self) -> None:
         """One tick of a resting frame: what the frame did is over."""
-        self._velocity = self._rate = self._drag = np.zeros(3)
+        self._velocity = self._rate = np.zeros(3)
         if self._at.carrier is Carrier.HAND_FRAME:
             self._set_gravity()
+        if self.has_robot:
+            self._drive_fingers()
         mujoco.mj_step(self._model, self._data, self.params.steps_per_tick)
         self._tick_done()
 
@@ -272,23 +262,17 @@ class HandWorld:
         """Sum up the tick's contact forces, and see whether the engine, the hand or the hold has failed."""
         data, params = self._data, self.params
         self.n_steps += 1
-        forces = data.history[self._history]
-        sums = np.sqrt(np.einsum("snk,snk->sn", forces, forces)).sum(axis=1).tolist()
-        for key, total in zip(self._kept, sums, strict=True):
-            if total:
-                self._impulse[key] += total * params.step_s
+        sums_n = self._forces.sums_n(data)
+        for pair, total_n in zip(self._forces.pairs, sums_n, strict=True):
+            if total_n:
+                self._impulse[pair] += total_n * params.step_s
         self.most_iterations = max(self.most_iterations, int(data.solver_niter[0]))
         if data.warning.number.any():
             numbers = {kind: n for kind, n in zip(_WARNINGS, data.warning.number.tolist(), strict=True) if n}
             raise PhysicsError(f"{self._label}: MuJoCo warned after {self.n_steps} ticks: {numbers}, must not")
         if self._at.carrier is Carrier.NO_HAND:
             return
-        self.is_stopped = self.is_stopped or sums[-1] > params.protective_stop_n * params.steps_per_tick
-        if self._at.carrier is Carrier.HAND_FRAME:
-            self._untouched = 0 if data.sensordata[self._touch].any() else self._untouched + 1
-            if self._untouched >= LOST_TICKS:
-                self.is_lost = True
-                self.remove_hand()
+        self.is_stopped = self.is_stopped or sums_n[-1] > params.protective_stop_n * params.steps_per_tick
 
     # ---------------------------------------------------------------- measurements
     def _object_rotation(self) -> Float[np.ndarray, "3 3"]:
@@ -309,11 +293,11 @@ class HandWorld:
         """
         if not np.isfinite(self._data.qpos).all():
             raise PhysicsError(f"{self._label}: state {self._data.qpos.tolist()} after {self.n_steps} ticks, must be finite")
-        return self._T_base_frame @ self._object_in_frame()
+        return np.asarray(self._T_base_frame @ self._object_in_frame())
 
     def tcp_pose(self) -> Float[np.ndarray, "4 4"]:
         """T_base_tcp; where the hand was last, once it has left."""
-        T = self._T_hand.copy()
+        T: Float[np.ndarray, "4 4"] = self._T_hand.copy()
         if self._at.carrier is Carrier.REST_FRAME:
             # A line keeps the orientation with which it began.
             T[:3, :3] = self._T_base_frame[:3, :3]
@@ -321,7 +305,7 @@ class HandWorld:
 
     def inhand_pose(self) -> Float[np.ndarray, "4 4"]:
         """T_tcp_object."""
-        return inverse(self.tcp_pose()) @ self.object_pose()
+        return np.asarray(inverse(self.tcp_pose()) @ self.object_pose())
 
     def arm_state(self) -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "2"]]:
         """Arm configuration in radians and opening of each finger in metres."""
@@ -333,14 +317,11 @@ class HandWorld:
 
     def force_n(self, body: str, other: str) -> float:
         """Size of the net contact force of the last step: of "object" or "robot" with table or an obstacle, or of "robot" with "object"."""
-        names = HAND_PARTS if (body, other) == ("robot", "object") else (f"{body} {other}",)
-        addresses = [int(self._model.sensor_adr[self._at.sensor_adr[name]]) for name in names if name in self._at.sensor_adr]
-        return float(sum(np.linalg.norm(self._data.sensordata[a : a + 3]) for a in addresses))
+        return self._forces.last_n(self._data, body, other)
 
     def touching(self, part: str) -> bool:
         """Whether a part of the hand ("panda_hand" or a finger) pressed on the object in the last step."""
-        address = self._model.sensor_adr[self._at.sensor_adr[part]]
-        return bool(self._data.sensordata[address : address + 3].any())
+        return self._forces.presses(self._data, part)
 
     @property
     def has_robot(self) -> bool:
@@ -362,6 +343,5 @@ class HandWorld:
         return all(mujoco.mj_geomDistance(model, data, hand[a], part[b], 1.01 * gap_m, None) > gap_m for a, b in near.tolist())
 
 
-def _cross(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """numpy's cross product costs ten times as much on three numbers."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+def _no_log(message: str) -> None:
+    """Say nothing."""

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from pipelines.codecs import Row, pose_in
+from pipelines.engines.physics.hand_world import HandWorld
 from pipelines.engines.physics.phases import Phase
-from pipelines.engines.physics.world import PhysicsWorld
 from pipelines.engines.robot.arm import fk, follow_line
 from pipelines.labels.execution import ExecutionParams, ExecutionSetup, execute_candidate, execute_perturbed, execution_rows
 from pipelines.labels.planning import PlanningParams
@@ -38,7 +38,7 @@ def _moved(candidate: Candidate, T: np.ndarray) -> Candidate:
 
 
 def _run(case: Lifted, candidate: Candidate, plan: Motion) -> Row:
-    with PhysicsWorld(case.object_model, candidate.scene.obstacles, PHYSICS) as world:
+    with HandWorld(case.object_model, candidate.scene.obstacles, PHYSICS) as world:
         return execute_candidate(world, candidate, plan, SETUP)
 
 
@@ -68,7 +68,7 @@ def test_the_same_bits_in_any_order(name: str) -> None:
     case = lifted(name)
     planned = case.of(case.grasps[0])
     forwards = list(execution_rows(case.object_model, planned, SETUP))
-    with PhysicsWorld(case.object_model, case.scene.obstacles, PHYSICS) as world:
+    with HandWorld(case.object_model, case.scene.obstacles, PHYSICS) as world:
         backwards = [execute_candidate(world, candidate, plan, SETUP) for candidate, plan in planned[::-1]]
     alone = list(execution_rows(case.object_model, planned[-1:], SETUP))
     assert len(forwards) >= 3

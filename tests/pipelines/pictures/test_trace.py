@@ -9,8 +9,8 @@ import pytest
 from mcap.writer import Writer
 
 from pipelines.codecs import Row, pose_in
+from pipelines.engines.physics.hand_world import HandWorld
 from pipelines.engines.physics.phases import Phase
-from pipelines.engines.physics.world import PhysicsWorld
 from pipelines.labels.execution import ExecutionParams, ExecutionSetup, execute_candidate
 from pipelines.pictures.trace import TraceError, TraceRecorder, read_trace
 from tests.pipelines.engines.physics.lifted import MOTION, PHYSICS, lifted
@@ -22,7 +22,7 @@ def _traced(path: Path) -> Row:
     case = lifted("cuboid")
     candidate, plan = case.planned[0]
     with (
-        PhysicsWorld(case.object_model, (), PHYSICS) as world,
+        HandWorld(case.object_model, (), PHYSICS) as world,
         TraceRecorder(path, world, {"candidate_id": candidate.candidate_id}) as trace,
     ):
         return execute_candidate(world, candidate, plan, SETUP, trace.record)
@@ -55,7 +55,7 @@ def test_equal_executions_give_equal_bytes_and_a_trace_changes_nothing(tmp_path:
     first, second = _traced(tmp_path / "a.mcap"), _traced(tmp_path / "b.mcap")
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
     case = lifted("cuboid")
-    with PhysicsWorld(case.object_model, (), PHYSICS) as world:
+    with HandWorld(case.object_model, (), PHYSICS) as world:
         untraced = execute_candidate(world, *case.planned[0], SETUP)
     assert first == second == untraced
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from objects.object_model import ObjectModel
 from pipelines.codecs import Row, admitted_grasps, lifted_grasps, plan_in
-from pipelines.engines.physics.world import PhysicsParams
+from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.engines.planning.trajectory import MotionParams
 from pipelines.grasps.admission import AdmissionParams, admission_rows
 from pipelines.grasps.pick_lift import PickLiftParams, PickLiftSetup, pick_lift_rows
@@ -18,7 +18,7 @@ from pipelines.scenes.tabletop import standing
 from pipelines.values import Candidate, LiftedGrasp, Motion, Obstacle, Scene, Target
 from tests.pipelines.engines.physics.object_models import can_model, cuboid_model, mug_model
 
-PHYSICS, MOTION = PhysicsParams(), MotionParams()
+PHYSICS, MOTION = HandWorldParams(), MotionParams()
 LIFTING = PickLiftSetup(PickLiftParams(), AdmissionParams(), MOTION, PHYSICS)
 OBJECT_MODELS = {"can": can_model, "cuboid": cuboid_model, "mug": mug_model}
 _SPOTS = ((0.40, -0.25, 0.4), (0.55, -0.30, -1.0), (0.35, 0.30, 2.0), (0.62, 0.10, 0.9))

@@ -10,11 +10,13 @@ import pytest
 
 from pipelines.engines.physics.phases import Phase, pose_difference
 from pipelines.engines.physics.rollout import close_fingers, hold, move, n_steps_of, open_fingers, pressing_fingers, settle
-from pipelines.engines.physics.world import PhysicsWorld
+from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
 from pipelines.engines.planning.trajectory import time_path
 from pipelines.engines.robot.arm import HOME_Q_RAD
 from pipelines.values import LiftedGrasp
-from tests.pipelines.engines.physics.lifted import MOTION, PHYSICS, lifted
+from tests.pipelines.engines.physics.lifted import MOTION, lifted
+
+PHYSICS = PhysicsParams()
 from tests.pipelines.engines.physics.measured import deepest_contact_m
 
 
