@@ -111,9 +111,10 @@ def test_an_obstacle_in_the_way_is_a_collision() -> None:
     wall = Obstacle(0, standing(at[:2, 3], 0.0, 0.30), np.array([0.10, 0.08, 0.30]))
     scene: Scene = dataclasses.replace(case.scene, obstacles=(wall,))
     row = _run(case, dataclasses.replace(candidate, scene=scene), plan)
-    assert row["exec_status"] in ("collided", "slipped_in_hand", "dropped_in_transport")
+    assert row["exec_status"] in ("collided", "slipped_in_hand", "dropped_in_transport", "protective_stop")
     assert not row["y_pipe"]
-    assert row["transport_slip_m"] > 0.005
+    # Pushed aside in the hand, or the hand met more than it bears and stopped.
+    assert row["transport_slip_m"] > 0.005 or row["exec_status"] == "protective_stop"
 
 
 def test_a_plan_into_the_air_topples_or_misses() -> None:
@@ -137,8 +138,9 @@ def _back(q: np.ndarray) -> np.ndarray | None:
 
 def test_what_is_not_in_the_hand_is_dropped() -> None:
     case = lifted("can")
-    grasp = dataclasses.replace(case.grasps[0], fingers_m=np.array([0.04, 0.04]), T_base_lifted=case.grasps[0].T_base_lifted.copy())
-    grasp.T_base_lifted[:3, 3] += 0.045 * fk(grasp.lifted_q_rad)[:3, 2]
+    # 45 mm further along the approach than the pads reach.
+    grasp = dataclasses.replace(case.grasps[0], fingers_m=np.array([0.04, 0.04]), T_tcp_object=case.grasps[0].T_tcp_object.copy())
+    grasp.T_tcp_object[2, 3] += 0.045
     candidate, plan = case.planned[0]
     row = _run(case, dataclasses.replace(candidate, grasp=grasp), plan)
     assert row["exec_status"] == "dropped_in_transport"
@@ -161,7 +163,7 @@ def test_perturbations_change_what_they_say(perturbation: Perturbation) -> None:
     if perturbation is Perturbation.HOLD:
         assert abs(more_steps - 12) <= 8  # 0.05 s, and settling that may end a check earlier or later
     if perturbation is Perturbation.FINE_STEP:
-        assert row["n_physics_steps"] == pytest.approx(2 * stored["n_physics_steps"], rel=0.05)
+        assert abs(more_steps) <= 8  # ticks of the same length, twice as many solver steps in each
     # A success far from its tolerance stays one.
     assert row["y_pipe"]
     assert row["final_position_error_m"] == pytest.approx(stored["final_position_error_m"], abs=2e-3)

@@ -222,7 +222,7 @@ def test_pick_lift_transport_and_release_of_a_carton() -> None:
     q = _solve(T_grasp)
     up = T_grasp.copy()
     up[2, 3] += 0.12
-    line = follow_line(T_grasp, up, q)
+    line = follow_line(T_grasp, up, q, 0.0025, 0.35)
     assert line is not None
     with HandWorld(object_model, (), PARAMS) as world:
         world.start_open("lift", line[-1], 0.04, T_object)
@@ -252,7 +252,7 @@ def test_pick_lift_transport_and_release_of_a_carton() -> None:
 def _solve(T: np.ndarray) -> np.ndarray:
     from pipelines.engines.robot.arm import ik
 
-    solutions = ik(T)
+    solutions = ik(T, 32)
     return solutions[np.argmin(np.abs(solutions - HOME_Q_RAD).max(axis=1))]
 
 
@@ -283,7 +283,7 @@ def test_a_hand_that_presses_on_the_table_stops() -> None:
     T_start = matrix_of(np.array([0.5, 0.0, T_object[2, 3] + 0.13, 1.0, 0.0, 0.0, 0.0]))
     T_end = T_start.copy()
     T_end[2, 3] = 0.02
-    line = follow_line(T_start, T_end, _solve(T_start))
+    line = follow_line(T_start, T_end, _solve(T_start), 0.0025, 0.35)
     assert line is not None
     with HandWorld(object_model, (), PARAMS) as world:
         world.start_open("jam", line[0], 0.01, T_object)

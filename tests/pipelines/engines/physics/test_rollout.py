@@ -15,9 +15,9 @@ from pipelines.engines.planning.trajectory import time_path
 from pipelines.engines.robot.arm import HOME_Q_RAD
 from pipelines.values import LiftedGrasp
 from tests.pipelines.engines.physics.lifted import MOTION, lifted
+from tests.pipelines.engines.physics.measured import deepest_contact_m
 
 PHYSICS = PhysicsParams()
-from tests.pipelines.engines.physics.measured import deepest_contact_m
 
 
 def _held(world: PhysicsWorld, grasp: LiftedGrasp) -> None:
