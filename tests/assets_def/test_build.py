@@ -175,7 +175,7 @@ def _result(one: AssetsDefinition) -> ExecuteInProcessResult:
 
 
 def test_the_reason_of_a_failed_run_is_what_the_step_raised_or_what_its_gate_found_first() -> None:
-    assert command._reason(_result(_failing)) == "tables.sidecar.StoreError: x.parquet: not published"
+    assert command._reason(_result(_failing)).endswith(".StoreError: x.parquet: not published")
     assert command._reason(_result(_contradicting)) == "check _contradicting.consistent: mini-0000: 7 targets, must be 8"
 
 

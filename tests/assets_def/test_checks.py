@@ -79,8 +79,7 @@ def repeat_a_row(path: Path) -> None:
     """A fault that only the values show: the sidecar knows the new file."""
     table = pq.read_table(path)
     pq.write_table(table.take([0, *range(table.num_rows)]), path)
-    sidecar = json.loads(sidecar_path(path).read_text())
-    sidecar |= {"sha256": file_sha256(path), "rows": sidecar["rows"] + 1}
+    sidecar = json.loads(sidecar_path(path).read_text()) | {"sha256": file_sha256(path), "rows": table.num_rows + 1}
     sidecar_path(path).write_text(json.dumps(sidecar))
 
 
