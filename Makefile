@@ -17,7 +17,7 @@ export OPENBLAS_NUM_THREADS := 1
 demo: $(INSTALLED)  ## the whole benchmark on tier mini, from objects to reports
 	$(PY) -m assets_def.build mini --workers $(WORKERS)
 
-dataset: $(INSTALLED)  ## a tier's dataset: only missing shards, resumable (TIER=mini|pilot|full)
+dataset: $(INSTALLED)  ## a tier's dataset and reports: only what is missing or outdated, resumable (TIER=mini|pilot|full)
 	$(PY) -m assets_def.build $(TIER) --workers $(WORKERS)
 
 ui: $(INSTALLED)  ## the Dagster UI on this checkout

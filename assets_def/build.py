@@ -36,14 +36,10 @@ from assets_def.report_assets import profile_step, report_steps
 from assets_def.resources import Benchmark
 from assets_def.stages import stage_assets
 from assets_def.steps import Step
-from model.errors import RankerError
-from pipelines.recipe import RecipeError
 from pipelines.running.shard_runner import is_published
 from pipelines.stages import STAGES
-from splits.errors import ReleaseError
 from tables.errors import PlaceBenchError
-from tables.identity import TIERS, IdentityError, shards_of_tier
-from tables.store import StoreError
+from tables.identity import TIERS, shards_of_tier
 
 CONSOLE, ERRORS = Console(), Console(stderr=True)
 INTERRUPTED = 130  # what a shell reports of a command that Ctrl-C ended
@@ -200,7 +196,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, DagsterExecutionInterruptedError):
         _say_error("interrupted; everything published and every finished scene or epoch is kept, the same command continues there")
         return INTERRUPTED
-    except (BuildError, RecipeError, StoreError, ReleaseError, RankerError, IdentityError, DagsterError) as error:
+    except (PlaceBenchError, DagsterError) as error:
         _say_error(f"{type(error).__name__}: {error}" if not isinstance(error, BuildError) else str(error))
         return 1
     _print_result(chosen.tier, chosen.until, benchmark)

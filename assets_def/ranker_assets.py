@@ -19,7 +19,7 @@ from dagster import (
     multi_asset,
 )
 
-from assets_def.checks import consistency_result, schema_check, schema_check_spec
+from assets_def.checks import consistency_check, schema_check, schema_check_spec
 from assets_def.inputs import release_hashes
 from assets_def.metadata import markdown_table
 from assets_def.partitions import (
@@ -82,7 +82,11 @@ def ranker(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[Mat
         "reused": is_reused,
     }
     yield MaterializeResult("ranker", metadata=shown, data_version=DataVersion(_weights_sha256(benchmark, key)))
-    yield consistency_result("ranker", input_errors(out_dir))
+    yield from _ranker_checks(benchmark, str(key))
+
+
+def _ranker_checks(benchmark: Benchmark, partition: str) -> Iterator[AssetCheckResult]:
+    yield consistency_check("ranker", lambda: input_errors(_checkpoint(benchmark, parse_ranker_key(partition))))
 
 
 def _train(benchmark: Benchmark, key: RankerKey) -> tuple[list[Path], dict[str, Any]]:
@@ -185,5 +189,5 @@ def _weights_sha256(benchmark: Benchmark, key: RankerKey) -> str:
 
 
 ranker_assets = [ranker, predictions]
-ranker_step = Step("ranker", ranker, _ranker_products, lambda benchmark, partition: [])
+ranker_step = Step("ranker", ranker, _ranker_products, _ranker_checks)
 predictions_step = Step("predictions and decision times", predictions, _predictions_products, _predictions_checks)

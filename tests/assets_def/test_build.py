@@ -33,7 +33,7 @@ from assets_def.release_assets import release_steps
 from assets_def.report_assets import profile_step, report_steps
 from assets_def.resources import Benchmark
 from assets_def.stages import stage_assets
-from model.settings import RankerError
+from model.errors import RankerError
 from pipelines.recipe import RecipeError
 from splits.release import ReleaseError
 from tables.identity import IdentityError
@@ -175,7 +175,7 @@ def _result(one: AssetsDefinition) -> ExecuteInProcessResult:
 
 
 def test_the_reason_of_a_failed_run_is_what_the_step_raised_or_what_its_gate_found_first() -> None:
-    assert command._reason(_result(_failing)) == "tables.store.StoreError: x.parquet: not published"
+    assert command._reason(_result(_failing)).endswith(".StoreError: x.parquet: not published")
     assert command._reason(_result(_contradicting)) == "check _contradicting.consistent: mini-0000: 7 targets, must be 8"
 
 

@@ -79,7 +79,7 @@ def repeat_a_row(path: Path) -> None:
     """A fault that only the values show: the sidecar knows the new file."""
     table = pq.read_table(path)
     pq.write_table(table.take([0, *range(table.num_rows)]), path)
-    sidecar = json.loads(sidecar_path(path).read_text()) | {"sha256": file_sha256(path)}
+    sidecar = json.loads(sidecar_path(path).read_text()) | {"sha256": file_sha256(path), "rows": table.num_rows + 1}
     sidecar_path(path).write_text(json.dumps(sidecar))
 
 
@@ -88,7 +88,8 @@ def edit(asset: str, change: Callable[[Rows], None], benchmark: Benchmark, path:
     path = path or path_of(asset, benchmark)
     rows = read_table(table_of(asset), path).to_pylist()
     change(rows)
-    write_table(table_of(asset), table_from_rows(table_of(asset), rows), path, read_sidecar(path).made_from)
+    before = read_sidecar(path)
+    write_table(table_of(asset), table_from_rows(table_of(asset), rows), path, before.made_from, of=before.of)
 
 
 @pytest.fixture

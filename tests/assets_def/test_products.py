@@ -25,7 +25,7 @@ def never() -> Any:
 
 
 def table_product(folder: Path, made_from: dict[str, str] = MADE_FROM) -> TableProduct:
-    return TableProduct(SPLITS, folder / "splits.parquet", made_from)
+    return TableProduct(SPLITS, folder / "splits.parquet", made_from, "mini")
 
 
 def files_product(folder: Path, made_from: dict[str, str] = MADE_FROM) -> FilesProduct:

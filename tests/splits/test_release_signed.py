@@ -13,8 +13,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from splits.errors import ReleaseError
 from splits.manifest import CARD, MANIFEST, read_manifest
-from splits.release import REQUIRED_TABLES, main, verify_release
+from splits.release import REQUIRED_TABLES, verify_release
 from tables import schemas
 from tests.splits.changed import changed
 from tests.splits.damage import Damage, answer, copy_of, dropped, listed, relisted, republished, sidecar, signed, swapped, without
@@ -252,9 +253,9 @@ def own_copy(release: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 # The same bytes in every run: what a Parquet library does with any footer at all is not tested here.
 @given(data=st.data())
-@settings(max_examples=100, derandomize=True)
+@settings(max_examples=60, derandomize=True)
 def test_any_other_byte_of_a_table_that_fits_its_checksums_is_no_traceback(release: Path, own_copy: Path, data: st.DataObject) -> None:
-    """Bytes that hold no value may differ; whatever else differs is one line. Most of the damage is in the footer."""
+    """Bytes that hold no value may differ; whatever else differs is one error. Most of the damage is in the footer."""
     name = data.draw(st.sampled_from(["objects", "splits", "targets"]))
     files = {file: (release / file).read_bytes() for file in (MANIFEST, f"{name}.parquet", f"{name}.parquet.json")}
     content = bytearray(files[f"{name}.parquet"])
@@ -262,8 +263,9 @@ def test_any_other_byte_of_a_table_that_fits_its_checksums_is_no_traceback(relea
         content[-1 - position] = data.draw(st.integers(0, 255))
     republished(own_copy, name, bytes(content))
     try:
-        if main(["verify", str(own_copy)]) != 0:
-            assert f"{name}.parquet: " in answer(own_copy)
+        verify_release(own_copy)
+    except ReleaseError as error:
+        assert f"{name}.parquet: " in str(error)  # noqa: PT017 (most examples raise, not all)
     finally:
         for file, before in files.items():
             (own_copy / file).write_bytes(before)
