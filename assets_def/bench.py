@@ -28,7 +28,7 @@ from pipelines import stages
 from pipelines.codecs import scenes_from_tables
 from pipelines.frames import frame_of, scene_id_of_item
 from pipelines.proofs.cpu_profile import largest_costs
-from pipelines.proofs.engine_baselines import bare_step_us, collision_check_us
+from pipelines.proofs.engine_baselines import bare_tick_us, collision_check_us
 from pipelines.running.data_root import DataRoot
 from pipelines.running.object_tables import make_object_tables
 from pipelines.running.shard_runner import load_shard_inputs, read_timings
@@ -139,8 +139,8 @@ def _floors(root: DataRoot) -> dict[str, dict[str, float]]:
     scenes = scenes_from_tables(*root.read_shard(TIMED_SHARD, [ALL_SCHEMAS[name] for name in ("scenes", "obstacles", "targets")]).values())
     first = [(inputs.object_models[allocation.object_id], scenes[allocation.scene_id]) for allocation in inputs.allocations[:3]]
     return {
-        "floor_bare_step_us": {
-            object_model.category: bare_step_us(object_model, scene, inputs.recipe.physics) for object_model, scene in first
+        "floor_bare_tick_us": {
+            object_model.category: bare_tick_us(object_model, scene, inputs.recipe.hand_physics) for object_model, scene in first
         },
         "floor_collision_check_us": {object_model.category: collision_check_us(object_model, scene) for object_model, scene in first},
     }
@@ -152,7 +152,7 @@ def _floor_ms(root: DataRoot, shards: Sequence[str], floors: dict[str, dict[str,
     out = {}
     for name, counted, floor in (
         ("planning_labels", "n_checks", "floor_collision_check_us"),
-        ("execution_labels", "n_physics_steps", "floor_bare_step_us"),
+        ("execution_labels", "n_physics_steps", "floor_bare_tick_us"),
     ):
         items = _tables(root, shards, name).with_columns(scene_id_of_item("candidate_id")).join(scenes, on="scene_id")
         for category, n in items.group_by("category").agg(pl.col(counted).mean()).iter_rows():

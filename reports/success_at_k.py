@@ -91,8 +91,8 @@ def _introduction(chosen: int | None, seeds: Sequence[int]) -> str:
         " policy orders the same candidates and breaks ties by the candidate's hash. Endpoint policies try what passes first and the rest"
         " after it. Intervals are 95 % and take into account that the groups of a scene are alike. Decision time is core time of one CPU"
         " for all of a group's computations, fresh; the ranker's is wall-clock time from the scene's points to scores."
-        f" {ranker} *Paper* is {paper.RANKING_SOURCE}: Isaac Sim and cuMotion there, PyBullet and OMPL here, so the protocol is the same"
-        " and the labels are not."
+        f" {ranker} *Paper* is {paper.RANKING_SOURCE}: Isaac Sim and cuMotion there, MuJoCo, PyBullet and OMPL here, so"
+        " the protocol is the same and the labels are not."
     )
 
 

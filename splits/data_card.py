@@ -43,7 +43,14 @@ print(test.filter(~pl.col("success")).sort("scene_id", "target_id").collect())
 
 _LIMITS = """\
 - **A protocol, not the paper's labels.** The protocol is that of the paper cited below, which used Isaac Sim and cuMotion; here it is
-  PyBullet, OMPL, pinocchio and coal. Rates differ and may not be compared as if they were of the same data.
+  MuJoCo (held objects), PyBullet (resting ones), OMPL, pinocchio and coal. Rates differ and may not be compared as if they were of the
+  same data.
+- **What the hand holds.** Pick-lift and execution are simulated in MuJoCo in the frame of the hand. A pad is its real face of
+  17.5 x 18.5 mm in 3 x 3 cells that yield and hold the torque of even pressure: a lever of 6.9 mm about the jaw axis on a flat face, less
+  on a line of contact. A finger presses with 50 N, the middle of what the Franka Hand holds continuously, and moves at 0.05 m/s.
+  Friction coefficients and the stiffness of the pads are assumptions. Force and lever decide which grasps slip: `attempts` has
+  executions with the lever 15 % longer and shorter. The links of the arm do not collide there; the planner keeps them clear, and the
+  path audit checks it in a second engine.
 - **Simulation only.** Rigid bodies, Coulomb friction, convex parts instead of exact meshes. No label was confirmed on a robot.
 - **Labels near the tolerance are chaotic.** Contact dynamics amplify differences that mean nothing physically; `tolerance_margin` says
   how near a label is to flipping, and the table `attempts`, where present, says how often labels did flip.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tables.columns import TableSchema, enum, flag, integer, integers, joints, plain, pose, real, reals, single, text
 from tables.vocabulary import AdmissionStatus, Audit, Category, ExecStatus, LiftStatus, Perturbation, PlanStatus, PointType, Split, Symmetry
 
-SCHEMA_VERSION = "1.0.0"
+SCHEMA_VERSION = "2.0.0"
 
 _SCENE_ID = text("scene_id", "scene, also the scene group")
 _OBJECT_ID = text("object_id", "catalogue object")

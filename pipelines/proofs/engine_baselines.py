@@ -7,26 +7,25 @@ import time
 import numpy as np
 
 from objects.object_model import ObjectModel
-from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
+from pipelines.engines.physics.hand_params import HandWorldParams
+from pipelines.engines.physics.hand_world import HandWorld
 from pipelines.engines.planning.collision import CollisionModel
 from pipelines.engines.robot.arm import HOME_Q_RAD, Q_LOWER_RAD, Q_UPPER_RAD
 from pipelines.values import Scene
 from tables.identity import rng_for
 
-N_STEPS = 2000
+N_TICKS = 2000
 N_CHECKS = 5000
 
 
-def bare_step_us(object_model: ObjectModel, scene: Scene, physics: PhysicsParams) -> float:
-    """CPU microseconds of a step in which the arm holds still and the object lies on the table."""
-    with PhysicsWorld(object_model, scene.obstacles, physics) as world:
-        world.rebuild("floor", with_robot=True)
-        world.set_object(scene.T_base_object)
-        world.set_arm(HOME_Q_RAD, [0.04, 0.04])
+def bare_tick_us(object_model: ObjectModel, scene: Scene, physics: HandWorldParams) -> float:
+    """CPU microseconds of a tick in which the open hand holds still above the table and the object lies on it."""
+    with HandWorld(object_model, scene.obstacles, physics) as world:
+        world.start_open("floor", HOME_Q_RAD, 0.04, scene.T_base_object)
         start = time.process_time_ns()
-        for _ in range(N_STEPS):
+        for _ in range(N_TICKS):
             world.step()
-        return (time.process_time_ns() - start) / N_STEPS / 1e3
+        return (time.process_time_ns() - start) / N_TICKS / 1e3
 
 
 def collision_check_us(object_model: ObjectModel, scene: Scene) -> float:

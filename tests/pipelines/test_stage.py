@@ -67,7 +67,7 @@ def test_a_recipe_hash_of_a_stage_moves_with_its_own_sections_only() -> None:
     recipe = Recipe()
     other = dataclasses.replace(recipe, planning=dataclasses.replace(recipe.planning, preplace_m=0.2))
     moved = {s.name for s in STAGES if recipe.hash_of_sections(*s.sections) != other.hash_of_sections(*s.sections)}
-    assert moved == {"policy_features", "planning_labels"}
+    assert moved == {"policy_features", "planning_labels", "execution_labels"}
 
 
 def test_values_refuse_ids_they_do_not_hold() -> None:

@@ -64,7 +64,7 @@ IMPOSSIBLE: list[tuple[str, str, Row, Row]] = [
         {"exec_status": "off_target"},
         {"final_position_error_m": 0.019, "final_rotation_error_rad": 0.0, "tolerance_margin": 0.05},
     ),
-    ("execution_labels", "release errors and drag are there exactly where", SUCCESS, {"retreat_drag_m": None}),
+    ("execution_labels", "retreat_drag_m is there exactly where the hand let go", SUCCESS, {"retreat_drag_m": None}),
     ("execution_labels", "n_physics_steps is null where exec_status is", UNPLANNED, {"n_physics_steps": 10}),
     ("execution_labels", "final_x_m is null where exec_status is", UNPLANNED, {"final_x_m": 0.5}),
     ("candidate_pairs", "object, category and obstacle count are the scene's", PLANNED, {"category": "mesh"}),
