@@ -58,7 +58,7 @@ def test_training_needs_what_is_recorded_and_the_labels_and_nothing_else(
         ("grasps", "inhand_x_m"),
         ("candidates", "y_plan"),
         ("candidates", "final_qw"),
-        ("plans", "transport_q_rad"),
+        ("plans", "via_q_rad"),
     ],
 )
 def test_a_planted_forbidden_column_is_named(copy: Path, table: str, column: str) -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tables.columns import Column, SchemaError, TableSchema, integers, plain, reals
+from tables.columns import Column, SchemaError, TableSchema, integers, joint_columns, plain, reals
 from tables.schemas import OBJECT_PARTS, PLANS
 from tables.store import check_table, table_from_columns, table_from_rows
 
@@ -96,10 +96,8 @@ def test_a_list_column_passes_exactly_when_every_number_in_it_is_finite(maybe: l
 
 
 def test_plans_and_parts_of_the_benchmark_refuse_them() -> None:
-    with pytest.raises(SchemaError, match=r"plans\.descend_q_rad: 1 values inside lists that are not finite"):
-        table_from_rows(
-            PLANS, [{"candidate_id": "full-0001-t0-g00", "transport_q_rad": [0.0], "descend_q_rad": [NAN], "retreat_q_rad": [0.0]}]
-        )
+    with pytest.raises(SchemaError, match=r"plans\.via_q_rad: 1 values inside lists that are not finite"):
+        table_from_rows(PLANS, [{"candidate_id": "full-0001-t0-g00", **dict.fromkeys(joint_columns("place_q"), 0.0), "via_q_rad": [NAN]}])
     with pytest.raises(SchemaError, match=r"object_parts\.faces: 1 nulls inside lists"):
         table_from_rows(OBJECT_PARTS, [{"object_id": "can_01", "part_id": 0, "vertices_m": [0.0], "faces": [0, None, 2]}])
 

@@ -331,7 +331,7 @@ def test_collisions_of_the_held_object_with_an_obstacle_are_felt() -> None:
         ({"finger_force_n": 20.0}, "finger_force_n = 20.0"),
         ({"pad_lever_scale": 1.3}, "pad_lever_scale = 1.3"),
         ({"cells_per_side": 4}, "cells_per_side = 4"),
-        ({"steps_per_tick": 1}, "step_s"),
+        ({"steps_per_tick": 1}, "steps_per_tick"),
         ({"pad_stiffness_n_m": 0.0}, "pad_stiffness_n_m = 0.0"),
     ],
 )
