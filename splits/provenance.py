@@ -23,7 +23,7 @@ _REQUIRED = {
     "recipe_hash": (_SHA256, "64 hex digits"),
     "catalogue_hash": (_SHA256, "64 hex digits"),
     "git_commit": (
-        re.compile(rf"{_COMMIT.pattern}(-dirty)?|{UNKNOWN_COMMIT}"),
+        _STATED_COMMIT,
         f"40 hex digits, -dirty after them or not, or {UNKNOWN_COMMIT}",
     ),
 }

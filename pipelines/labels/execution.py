@@ -16,9 +16,10 @@ from objects.object_model import ObjectModel
 from pipelines import laws
 from pipelines.codecs import Row, pose_row
 from pipelines.engines.bounds import BoundsError, bounded, check_bounds
+from pipelines.engines.physics.coming_to_rest import RestWatch, settle
 from pipelines.engines.physics.hand_model import HAND_PARTS
 from pipelines.engines.physics.hand_params import HandWorldParams
-from pipelines.engines.physics.hand_rollout import RestWatch, hold, move, open_fingers, settle
+from pipelines.engines.physics.hand_rollout import hold, move, open_fingers
 from pipelines.engines.physics.hand_world import HandWorld
 from pipelines.engines.physics.phases import Phase, Watch, pose_difference
 from pipelines.engines.planning.trajectory import MotionParams, time_path

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from pipelines.engines.physics.coming_to_rest import settle
 from pipelines.engines.physics.phases import Phase, pose_difference
-from pipelines.engines.physics.rollout import hold, settle
+from pipelines.engines.physics.rollout import hold
 from pipelines.engines.physics.world import PhysicsWorld
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from objects.gripper import MAX_JAW_M
 from objects.object_model import ObjectModel
 from pipelines.engines.physics.hand_params import HandWorldParams
-from pipelines.engines.physics.hand_rollout import Phase, hold, pose_difference, pressing_fingers
+from pipelines.engines.physics.hand_rollout import hold, pressing_fingers
 from pipelines.engines.physics.hand_world import HandWorld
+from pipelines.engines.physics.phases import Phase, pose_difference
 from pipelines.engines.robot.arm import HOME_Q_RAD
 from tables.identity import rng_for
 from tables.poses import inverse

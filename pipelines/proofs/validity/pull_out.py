@@ -7,9 +7,9 @@ from jaxtyping import Float
 
 from objects.object_model import ObjectModel
 from pipelines.engines.physics.hand_params import HandWorldParams
-from pipelines.engines.physics.hand_rollout import pose_difference
 from pipelines.engines.physics.hand_world import HandWorld
 from pipelines.engines.physics.pads import PAD_SIZE_M, even_pressure_lever_m
+from pipelines.engines.physics.phases import pose_difference
 from pipelines.engines.robot.arm import HOME_Q_RAD
 
 # In the plane of the pads: across the fingers, along them, and between.

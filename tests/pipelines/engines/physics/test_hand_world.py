@@ -12,12 +12,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from objects.object_model import ObjectModel
+from pipelines.engines.physics.coming_to_rest import settle
 from pipelines.engines.physics.errors import PhysicsError
 from pipelines.engines.physics.hand_model import FINGERS, Carrier, build_model
 from pipelines.engines.physics.hand_motion import hand_motion
 from pipelines.engines.physics.hand_params import HandWorldParams
-from pipelines.engines.physics.hand_rollout import Phase, close_fingers, hold, move, open_fingers, pose_difference, settle
+from pipelines.engines.physics.hand_rollout import close_fingers, hold, move, open_fingers
 from pipelines.engines.physics.hand_world import GRAVITY_M_S2, HandWorld
+from pipelines.engines.physics.phases import Phase, pose_difference
 from pipelines.engines.planning.trajectory import MotionParams, Trajectory, time_path
 from pipelines.engines.robot.arm import HOME_Q_RAD, fk, follow_line
 from pipelines.values import Obstacle

@@ -8,8 +8,9 @@ import numpy as np
 import pybullet
 import pytest
 
+from pipelines.engines.physics.coming_to_rest import n_steps_of, settle
 from pipelines.engines.physics.phases import Phase, pose_difference
-from pipelines.engines.physics.rollout import close_fingers, hold, move, n_steps_of, open_fingers, pressing_fingers, settle
+from pipelines.engines.physics.rollout import close_fingers, hold, move, open_fingers, pressing_fingers
 from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
 from pipelines.engines.planning.trajectory import time_path
 from pipelines.engines.robot.arm import HOME_Q_RAD

@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from objects.object_model import ObjectModel, TriangleMesh
+from pipelines.engines.physics.coming_to_rest import settle
 from pipelines.engines.physics.errors import PhysicsError
 from pipelines.engines.physics.phases import Phase, pose_difference
 from pipelines.engines.physics.resting import rest_drift
-from pipelines.engines.physics.rollout import move, settle
+from pipelines.engines.physics.rollout import move
 from pipelines.engines.physics.world import GRAVITY_M_S2, PhysicsParams, PhysicsWorld
 from pipelines.engines.planning.trajectory import MotionParams, time_path
 from pipelines.engines.robot.arm import HOME_Q_RAD, Q_LOWER_RAD, Q_UPPER_RAD, fk
