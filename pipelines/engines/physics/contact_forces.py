@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from pipelines.engines.physics.hand_model import HAND_PARTS, SceneModel
+from pipelines.engines.physics.hand_bodies import HAND_PARTS
+from pipelines.engines.physics.hand_model import SceneModel
 
 
 class ContactForces:

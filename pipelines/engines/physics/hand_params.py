@@ -1,4 +1,4 @@
-"""The numbers of the held object's engine and where each comes from; the geometry of the pads is pads.py, the model hand_model.py."""
+"""The numbers of the held object's engine and where each comes from; the geometry of the pads is pads.py, the bodies hand_bodies.py."""
 
 from __future__ import annotations
 

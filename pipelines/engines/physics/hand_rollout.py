@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipelines.engines.physics.coming_to_rest import n_steps_of
-from pipelines.engines.physics.hand_model import FINGERS
+from pipelines.engines.physics.hand_bodies import FINGERS
 from pipelines.engines.physics.hand_motion import hand_motion
 from pipelines.engines.physics.hand_world import HandWorld
 from pipelines.engines.physics.phases import Phase, Watch, no_watch

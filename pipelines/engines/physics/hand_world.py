@@ -1,4 +1,6 @@
-"""What a hand holds, simulated in the hand's frame (MuJoCo): state, ticks and what is measured; motions are hand_rollout.py.
+"""What a hand holds, simulated in the hand's frame (MuJoCo): ticks and what is measured.
+
+Where hand and object are is hand_state.py, motions are hand_rollout.py.
 
 While the hand turns, its frame is the frame of the simulation: the object feels gravity and the frame's inertia forces (linear, Euler,
 centrifugal, Coriolis), table and obstacles go by, nothing drifts and no contact normal lags behind. While the hand only translates, the
@@ -20,21 +22,21 @@ import numpy as np
 from jaxtyping import Float
 
 from objects.object_model import ObjectModel
-from pipelines.engines.physics.contact_forces import ContactForces
 from pipelines.engines.physics.errors import PhysicsError
 from pipelines.engines.physics.finger_drives import FingerDrives
-from pipelines.engines.physics.hand_model import FINGERS, HAND_MASS_KG, Carrier, SceneModel, build_model, fixed_bodies
+from pipelines.engines.physics.hand_bodies import FINGERS, HAND_MASS_KG, fixed_bodies
+from pipelines.engines.physics.hand_model import Carrier
 from pipelines.engines.physics.hand_motion import HandMotion, cross, inertia_load
 from pipelines.engines.physics.hand_params import HandWorldParams
+from pipelines.engines.physics.hand_state import GRAVITY, GRAVITY_M_S2, HandState
 from pipelines.engines.robot.arm import fk
 from pipelines.values import Obstacle
-from tables.poses import inverse, pose_of
+from tables.poses import inverse
 
-GRAVITY_M_S2 = 9.81
+__all__ = ["GRAVITY_M_S2", "LOST_TICKS", "HandWorld"]
+
 # Ticks without any contact between hand and object after which the object is lost: 12 ms, in which it falls a millimetre.
 LOST_TICKS = 3
-_GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
-_WXYZ = np.array([6, 3, 4, 5])
 _WARNINGS = [str(mujoco.mjtWarning(k).name) for k in range(int(mujoco.mjtWarning.mjNWARNING))]
 
 
@@ -54,7 +56,7 @@ class HandWorld:
 
     def __init__(self, object_model: ObjectModel, obstacles: Sequence[Obstacle], params: HandWorldParams) -> None:
         self.object_model, self.obstacles, self.params = object_model, tuple(obstacles), params
-        self._scenes: dict[Carrier, SceneModel] = {}
+        self._state = HandState(object_model, self.obstacles, params)
         self._label = object_model.object_id
         self.n_steps = 0
 
@@ -64,24 +66,22 @@ class HandWorld:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._scenes.clear()
+        self._state.forget_models()
         mujoco.set_mju_user_warning(None)
 
     # ---------------------------------------------------------------- starts
     def start_open(self, label: str, q: Float[np.ndarray, "7"], finger_m: float, T_base_object: Float[np.ndarray, "4 4"]) -> None:
         """The open hand, each finger at `finger_m`, and the object at rest somewhere; `label` names the run in errors."""
         self._begin(label, q)
-        self._enter(Carrier.REST_FRAME)
-        self._data.qpos[self._at.finger_q,] = finger_m
-        self._put_object(inverse(self._T_base_frame) @ T_base_object)
+        self._state.data.qpos[self._state.at.finger_q,] = finger_m
+        self._state.put_object(inverse(self._state.T_base_frame) @ T_base_object)
         self.command_fingers(0.0)
 
     def start_held(self, label: str, q: Float[np.ndarray, "7"], fingers_m: Sequence[float], T_tcp_object: Float[np.ndarray, "4 4"]) -> None:
         """A hold as it was when these numbers were measured."""
         self._begin(label, q)
-        self._enter(Carrier.REST_FRAME)
-        self._data.qpos[self._at.finger_q,] = fingers_m
-        self._put_object(T_tcp_object)
+        self._state.data.qpos[self._state.at.finger_q,] = fingers_m
+        self._state.put_object(T_tcp_object)
         self._drives.hold_on(self.params)
 
     def start_taking(
@@ -89,20 +89,20 @@ class HandWorld:
     ) -> None:
         """Close on an object that floats without weight at a pose between the open fingers, and give it its weight back once it is held."""
         self._begin(label, q)
-        self._enter(Carrier.REST_FRAME)
-        self._data.qpos[self._at.finger_q,] = finger_m
-        self._put_object(T_tcp_object)
+        self._state.data.qpos[self._state.at.finger_q,] = finger_m
+        self._state.put_object(T_tcp_object)
         self.grip()
-        self._model.opt.gravity[:] = 0.0
+        self._state.at.model.opt.gravity[:] = 0.0
         for _ in range(max(1, round(duration_s / self.params.dt_s))):
             self.step()
-        self._set_gravity()
+        self._state.turn_gravity()
 
     def _begin(self, label: str, q: Float[np.ndarray, "7"]) -> None:
         self._label, self.n_steps = label, 0
         self.is_lost = self.is_stopped = False
         self._q = np.array(q, dtype=np.float64)
-        self._T_hand = fk(self._q)
+        self._state.T_base_hand = fk(self._q)
+        self._state.enter(Carrier.REST_FRAME)
         self._drives = FingerDrives()
         self._untouched = 0
         self._names = fixed_bodies(self.obstacles)
@@ -110,63 +110,13 @@ class HandWorld:
         self._impulse["robot", "anything"] = 0.0
         self.most_iterations = 0
 
-    # ---------------------------------------------------------------- frames
-    def _enter(self, carrier: Carrier) -> None:
-        """Go on in another model, in the frame that the hand has now (or the base frame); fingers stay, the object must be put."""
-        if carrier not in self._scenes:
-            self._scenes[carrier] = build_model(self.object_model, self.obstacles, self.params, carrier)
-        self._at = at = self._scenes[carrier]
-        self._model = at.model
-        self._data = mujoco.MjData(at.model)
-        self._T_base_frame = np.eye(4) if carrier is Carrier.NO_HAND else self._T_hand.copy()
-        self._velocity, self._rate = np.zeros(3), np.zeros(3)  # of the frame, in its axes
-        self._set_gravity()
-        self._place_environment(inverse(self._T_base_frame))
-        self._forces = ContactForces(at, self.params.steps_per_tick)
-
-    def _change(self, carrier: Carrier) -> None:
-        """Carry the state over to another model; the hand is at rest, or leaves."""
-        if carrier is self._at.carrier:
-            return
-        T_base_object, T_tcp_object = self.object_pose(), None
-        before, data = self._at, self._data
-        v, w = self._object_twist()
-        if carrier is not Carrier.NO_HAND:
-            T_tcp_object = self.inhand_pose()
-            fingers = data.qpos[before.finger_q,], data.qvel[before.finger_v,]
-        R = self._T_base_frame[:3, :3]
-        self._enter(carrier)
-        if T_tcp_object is None:
-            self._put_object(T_base_object)
-        else:
-            self._put_object(T_tcp_object)
-            self._data.qpos[self._at.finger_q,], self._data.qvel[self._at.finger_v,] = fingers
-        at, to = self._at, self._T_base_frame[:3, :3].T @ R
-        # Turn rates of a free body are in its own axes.
-        self._data.qvel[at.object_v : at.object_v + 6] = [*(to @ v), *w]
-
-    def _object_twist(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """Velocity of the object's origin with respect to the base, in the frame's axes, and rate of turn in the object's axes."""
-        at, data = self._at, self._data
-        r = data.qpos[at.object_q : at.object_q + 3]
-        R_frame_object = self._object_in_frame()[:3, :3]
-        v = data.qvel[at.object_v : at.object_v + 3] + self._velocity + cross(self._rate, r)
-        return v, data.qvel[at.object_v + 3 : at.object_v + 6] + R_frame_object.T @ self._rate
-
     def remove_hand(self) -> None:
         """Take the hand out of the world: what the object does from here on is its own affair, at a third of the cost."""
         self._change(Carrier.NO_HAND)
 
-    def _set_gravity(self) -> None:
-        self._model.opt.gravity[:] = self._T_base_frame[:3, :3].T @ _GRAVITY
-
-    def _place_environment(self, T_frame_base: Float[np.ndarray, "4 4"]) -> None:
-        pose = pose_of(T_frame_base)
-        self._data.mocap_pos[0], self._data.mocap_quat[0] = pose[:3], pose[_WXYZ]
-
-    def _put_object(self, T_frame_object: Float[np.ndarray, "4 4"]) -> None:
-        pose, a = pose_of(T_frame_object), self._at.object_q
-        self._data.qpos[a : a + 7] = [*pose[:3], pose[6], *pose[3:6]]
+    def _change(self, carrier: Carrier) -> None:
+        self.object_pose()  # it must be finite: MuJoCo would go on without a word
+        self._state.change(carrier)
 
     # ---------------------------------------------------------------- commands
     def command_fingers(self, speed_m_s: float) -> None:
@@ -179,23 +129,23 @@ class HandWorld:
 
     def _drive_fingers(self) -> None:
         speed_m_s, force_n = self._drives.tick(all(map(self.touching, FINGERS)), self.params)
-        self._data.ctrl[:] = speed_m_s
-        self._data.qfrc_applied[self._at.finger_v,] = -force_n
+        self._state.data.ctrl[:] = speed_m_s
+        self._state.data.qfrc_applied[self._state.at.finger_v,] = -force_n
 
     def load(self, force_n: Float[np.ndarray, "3"], torque_n_m: Float[np.ndarray, "3"], *, is_weightless: bool) -> None:
         """Load the object from outside for the next tick of a hand at rest: a force at the TCP and a torque, in the hand's axes.
 
         For tests of what a grip bears; `is_weightless` takes gravity away until the next start or motion.
         """
-        T = self._object_in_frame()
+        T = self._state.object_in_frame()
         r = T[:3, :3] @ self.object_model.com_m + T[:3, 3]
-        self._data.xfrc_applied[self._at.object_body] = [*force_n, *(torque_n_m - cross(r, np.asarray(force_n)))]
+        self._state.data.xfrc_applied[self._state.at.object_body] = [*force_n, *(torque_n_m - cross(r, np.asarray(force_n)))]
         if is_weightless:
-            self._model.opt.gravity[:] = 0.0
+            self._state.at.model.opt.gravity[:] = 0.0
 
     def step(self) -> None:
         """One tick with the hand at rest."""
-        data, at = self._data, self._at
+        data, at = self._state.data, self._state.at
         if at.slide_q:
             data.qvel[at.slide_v,] = 0.0
             data.qfrc_applied[at.slide_v,] = 0.0
@@ -207,37 +157,36 @@ class HandWorld:
         Raises:
             PhysicsError: it starts elsewhere.
         """
-        miss = float(np.abs(motion.T_base_tcp[0] - self._T_hand).max())
+        miss = float(np.abs(motion.T_base_tcp[0] - self._state.T_base_hand).max())
         if miss > 1e-4:
             raise PhysicsError(f"{self._label}: a motion starts {miss:.2g} (m or sine) from where the hand is, must be at most 1e-4")
         self._change(Carrier.HAND_FRAME if motion.is_turning else Carrier.REST_FRAME)
-        self._data.xfrc_applied[:] = 0.0
+        self._state.data.xfrc_applied[:] = 0.0
         if motion.is_turning:
-            self._gravity = np.einsum("nji,j->ni", motion.R_mid, _GRAVITY)
+            self._gravity = np.einsum("nji,j->ni", motion.R_mid, GRAVITY)
         else:
-            R, a = self._T_base_frame[:3, :3], motion.base_acceleration_m_s2
-            self._slide_m = (motion.T_base_tcp[:-1, :3, 3] - self._T_base_frame[:3, 3]) @ R
+            R, a = self._state.T_base_frame[:3, :3], motion.base_acceleration_m_s2
+            self._slide_m = (motion.T_base_tcp[:-1, :3, 3] - self._state.T_base_frame[:3, 3]) @ R
             # Half a step's acceleration less: the engine's steps then end where the path is.
             self._slide_m_s = (motion.start_velocity_m_s - a * (self.params.step_s / 2)) @ R
             self._slide_n = (HAND_MASS_KG + 2 * self.params.finger_mass_kg) * (a @ R)
 
     def step_along(self, motion: HandMotion, k: int, q: Float[np.ndarray, "7"]) -> None:
         """Tick k of a motion; `q` is the arm's configuration at its end."""
-        data, at = self._data, self._at
-        self._q, self._T_hand = q, motion.T_base_tcp[k + 1]
+        state, data, at = self._state, self._state.data, self._state.at
+        self._q, state.T_base_hand = q, motion.T_base_tcp[k + 1]
         if at.carrier is Carrier.HAND_FRAME:
             self._drive_fingers()
-            self._model.opt.gravity[:] = self._gravity[k]
+            at.model.opt.gravity[:] = self._gravity[k]
             r_v = data.qpos[at.object_q : at.object_q + 3], data.qvel[at.object_v : at.object_v + 6]
-            data.xfrc_applied[at.object_body] = inertia_load(motion, k, self.object_model, self._object_rotation(), *r_v)
-            mujoco.mj_step(self._model, data, self.params.steps_per_tick)
+            data.xfrc_applied[at.object_body] = inertia_load(motion, k, self.object_model, state.object_rotation(), *r_v)
+            mujoco.mj_step(at.model, data, self.params.steps_per_tick)
             data.xfrc_applied[at.object_body] = 0.0
-            self._T_base_frame = self._T_hand
-            self._velocity, self._rate = motion.end_velocity_m_s[k], motion.end_rate_rad_s[k]
-            pose = motion.tcp_base_pose[k]
-            data.mocap_pos[0], data.mocap_quat[0] = pose[:3], pose[_WXYZ]
+            state.T_base_frame = state.T_base_hand
+            state.velocity_m_s, state.rate_rad_s = motion.end_velocity_m_s[k], motion.end_rate_rad_s[k]
+            state.place_environment(motion.tcp_base_pose[k])
             self._tick_done()
-            self._untouched = 0 if self._forces.is_touched(data) else self._untouched + 1
+            self._untouched = 0 if state.forces.is_touched(data) else self._untouched + 1
             if self._untouched >= LOST_TICKS:
                 self.is_lost = True
                 self.remove_hand()
@@ -245,63 +194,51 @@ class HandWorld:
             self._drive_fingers()
             slides, v = slice(at.slide_q[0], at.slide_q[0] + 3), slice(at.slide_v[0], at.slide_v[0] + 3)
             data.qpos[slides], data.qvel[v], data.qfrc_applied[v] = self._slide_m[k], self._slide_m_s[k], self._slide_n[k]
-            mujoco.mj_step(self._model, data, self.params.steps_per_tick)
+            mujoco.mj_step(at.model, data, self.params.steps_per_tick)
             self._tick_done()
 
     def _tick(self) -> None:
         """One tick of a resting frame: what the frame did is over."""
-        self._velocity = self._rate = np.zeros(3)
-        if self._at.carrier is Carrier.HAND_FRAME:
-            self._set_gravity()
+        state = self._state
+        state.velocity_m_s = state.rate_rad_s = np.zeros(3)
+        if state.at.carrier is Carrier.HAND_FRAME:
+            state.turn_gravity()
         if self.has_robot:
             self._drive_fingers()
-        mujoco.mj_step(self._model, self._data, self.params.steps_per_tick)
+        mujoco.mj_step(state.at.model, state.data, self.params.steps_per_tick)
         self._tick_done()
 
     def _tick_done(self) -> None:
         """Sum up the tick's contact forces, and see whether the engine, the hand or the hold has failed."""
-        data, params = self._data, self.params
+        data, params = self._state.data, self.params
         self.n_steps += 1
-        sums_n = self._forces.sums_n(data)
-        for pair, total_n in zip(self._forces.pairs, sums_n, strict=True):
+        sums_n = self._state.forces.sums_n(data)
+        for pair, total_n in zip(self._state.forces.pairs, sums_n, strict=True):
             if total_n:
                 self._impulse[pair] += total_n * params.step_s
         self.most_iterations = max(self.most_iterations, int(data.solver_niter[0]))
         if data.warning.number.any():
             numbers = {kind: n for kind, n in zip(_WARNINGS, data.warning.number.tolist(), strict=True) if n}
             raise PhysicsError(f"{self._label}: MuJoCo warned after {self.n_steps} ticks: {numbers}, must not")
-        if self._at.carrier is Carrier.NO_HAND:
+        if self._state.at.carrier is Carrier.NO_HAND:
             return
         self.is_stopped = self.is_stopped or sums_n[-1] > params.protective_stop_n * params.steps_per_tick
 
     # ---------------------------------------------------------------- measurements
-    def _object_rotation(self) -> Float[np.ndarray, "3 3"]:
-        R, a = np.empty(9), self._at.object_q
-        mujoco.mju_quat2Mat(R, self._data.qpos[a + 3 : a + 7])
-        return R.reshape(3, 3)
-
-    def _object_in_frame(self) -> Float[np.ndarray, "4 4"]:
-        T, a = np.eye(4), self._at.object_q
-        T[:3, :3], T[:3, 3] = self._object_rotation(), self._data.qpos[a : a + 3]
-        return T
-
     def object_pose(self) -> Float[np.ndarray, "4 4"]:
         """T_base_object.
 
         Raises:
             PhysicsError: it is not finite.
         """
-        if not np.isfinite(self._data.qpos).all():
-            raise PhysicsError(f"{self._label}: state {self._data.qpos.tolist()} after {self.n_steps} ticks, must be finite")
-        return np.asarray(self._T_base_frame @ self._object_in_frame())
+        q = self._state.data.qpos
+        if not np.isfinite(q).all():
+            raise PhysicsError(f"{self._label}: state {q.tolist()} after {self.n_steps} ticks, must be finite")
+        return self._state.object_pose()
 
     def tcp_pose(self) -> Float[np.ndarray, "4 4"]:
         """T_base_tcp; where the hand was last, once it has left."""
-        T: Float[np.ndarray, "4 4"] = self._T_hand.copy()
-        if self._at.carrier is Carrier.REST_FRAME:
-            # A line keeps the orientation with which it began.
-            T[:3, :3] = self._T_base_frame[:3, :3]
-        return T
+        return self._state.tcp_pose()
 
     def inhand_pose(self) -> Float[np.ndarray, "4 4"]:
         """T_tcp_object."""
@@ -309,7 +246,7 @@ class HandWorld:
 
     def arm_state(self) -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "2"]]:
         """Arm configuration in radians and opening of each finger in metres."""
-        return self._q.copy(), self._data.qpos[self._at.finger_q,].copy()
+        return self._q.copy(), self._state.data.qpos[self._state.at.finger_q,].copy()
 
     def impulse_n_s(self, body: str, other: str) -> float:
         """Contact impulse between "object" or "robot" and table or an obstacle since the start: the force's size summed over every step."""
@@ -317,16 +254,16 @@ class HandWorld:
 
     def force_n(self, body: str, other: str) -> float:
         """Size of the net contact force of the last step: of "object" or "robot" with table or an obstacle, or of "robot" with "object"."""
-        return self._forces.last_n(self._data, body, other)
+        return self._state.forces.last_n(self._state.data, body, other)
 
     def touching(self, part: str) -> bool:
         """Whether a part of the hand ("panda_hand" or a finger) pressed on the object in the last step."""
-        return self._forces.presses(self._data, part)
+        return self._state.forces.presses(self._state.data, part)
 
     @property
     def has_robot(self) -> bool:
         """Whether the hand is in the world."""
-        return self._at.carrier is not Carrier.NO_HAND
+        return self._state.at.carrier is not Carrier.NO_HAND
 
     @property
     def fixed_bodies(self) -> tuple[str, ...]:
@@ -335,12 +272,7 @@ class HandWorld:
 
     def is_clear(self, gap_m: float) -> bool:
         """Whether hand and object are further apart than a gap."""
-        model, data = self._model, self._data
-        mujoco.mj_kinematics(model, data)
-        hand, part = sorted(self._at.hand_geoms), sorted(self._at.object_geoms)
-        apart = np.linalg.norm(data.geom_xpos[hand][:, None] - data.geom_xpos[part], axis=-1)
-        near = np.argwhere(apart - model.geom_rbound[hand][:, None] - model.geom_rbound[part] <= gap_m)
-        return all(mujoco.mj_geomDistance(model, data, hand[a], part[b], 1.01 * gap_m, None) > gap_m for a, b in near.tolist())
+        return self._state.is_clear(gap_m)
 
 
 def _no_log(message: str) -> None:

@@ -1,4 +1,4 @@
-"""A finger pad as cells that yield: where they are, how much torque each holds by itself, and why; the model is hand_model.py.
+"""A finger pad as cells that yield: where they are, how much torque each holds by itself, and why; they become bodies in hand_bodies.py.
 
 Pads decide by geometry how much torque about the jaw axis they hold. A pad that presses evenly on a flat face with force F holds
 mu F L before it turns, where L is the mean distance of the face's points from its centre: 6.89 mm for 17.5 x 18.5 mm. On a can the

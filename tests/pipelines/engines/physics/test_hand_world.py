@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from objects.object_model import ObjectModel
 from pipelines.engines.physics.coming_to_rest import settle
 from pipelines.engines.physics.errors import PhysicsError
-from pipelines.engines.physics.hand_model import FINGERS, Carrier, build_model
+from pipelines.engines.physics.hand_bodies import FINGERS
+from pipelines.engines.physics.hand_model import Carrier, build_model
 from pipelines.engines.physics.hand_motion import hand_motion
 from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.engines.physics.hand_rollout import close_fingers, hold, move, open_fingers
@@ -99,8 +100,12 @@ def test_pads_yield_as_stated_whatever_the_object_weighs() -> None:
             params = HandWorldParams(cells_per_side=n)
             with HandWorld(cuboid_model(mass_kg=mass_kg), (), params) as world:
                 world.start_taking("press", HOME_Q_RAD, 0.032, _between_the_pads(), 0.4)
-                mujoco.mj_forward(world._model, world._data)
-                contacts = [c for c in world._data.contact if " cell " in world._model.geom(c.geom2).name + world._model.geom(c.geom1).name]
+                mujoco.mj_forward(world._state.at.model, world._state.data)
+                contacts = [
+                    c
+                    for c in world._state.data.contact
+                    if " cell " in world._state.at.model.geom(c.geom2).name + world._state.at.model.geom(c.geom1).name
+                ]
                 assert len(contacts) == 2 * n * n
                 wanted_m = params.finger_force_n / params.pad_stiffness_n_m
                 np.testing.assert_allclose([-c.dist for c in contacts], wanted_m, rtol=0.02)
@@ -174,11 +179,11 @@ def test_a_spinning_object_in_the_turning_hand_keeps_its_angular_momentum() -> N
     with HandWorld(object_model, (), PARAMS) as world:
         world.start_open("spin", HOME_Q_RAD, 0.04, T)
         world.begin_motion(motion)
-        world._data.qvel[world._at.object_v + 3 : world._at.object_v + 6] = 3.0, -2.0, 4.0
+        world._state.data.qvel[world._state.at.object_v + 3 : world._state.at.object_v + 6] = 3.0, -2.0, 4.0
 
         def momentum() -> np.ndarray:
             R = world.object_pose()[:3, :3]
-            _, w = world._object_twist()
+            _, w = world._state.object_twist()
             return R @ object_model.inertia_kg_m2 @ w
 
         before = momentum()
@@ -299,11 +304,11 @@ def test_a_hand_that_presses_on_the_table_stops() -> None:
 def test_what_the_engine_cannot_answer_for_is_an_error_with_the_label() -> None:
     with HandWorld(MODELS[1], (), PARAMS) as world:
         _taken(world, 0, "full-0000-t0-g00")
-        world._data.qvel[world._at.object_v] = 1e12
+        world._state.data.qvel[world._state.at.object_v] = 1e12
         with pytest.raises(PhysicsError, match=r"full-0000-t0-g00.*warned"):
             hold(world, Phase.HOLD, 0.1)
         _taken(world, 0, "full-0000-t0-g01")
-        world._data.qpos[world._at.object_q] = np.nan
+        world._state.data.qpos[world._state.at.object_q] = np.nan
         with pytest.raises(PhysicsError, match="full-0000-t0-g01"):
             hold(world, Phase.HOLD, 0.1)
         _taken(world, 0, "full-0000-t0-g02")
