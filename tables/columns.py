@@ -86,7 +86,11 @@ def real(name: str, meaning: str, unit: str = "", *, nullable: bool = False) -> 
 
 
 def single(name: str, meaning: str, unit: str = "") -> Column:
-    """A 32-bit float, for bulk data that no label is computed from."""
+    """A 32-bit float, for bulk data that no label is computed from.
+
+    Measured label columns stay `real`: as singles they would save a tenth of a release without its heavy tables (2.4 of 24 MB at
+    250,000 candidates), and the last bit is what shows that a repeat of physics is the same.
+    """
     return Column(name, pa.float32(), meaning, unit)
 
 

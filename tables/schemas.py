@@ -72,7 +72,7 @@ TARGETS = TableSchema("targets", "requested object poses", ("scene_id", "target_
     real("rest_drift_m", "how far the object moved when left there alone", "m"), real("rest_drift_rad", "how far it turned, modulo symmetry", "rad"),
 ))
 
-SCENE_POINTS = TableSchema("scene_points", "typed point cloud of the initial scene from two depth views, base frame", ("scene_id", "point"), (
+SCENE_POINTS = TableSchema("scene_points", "typed point cloud of the initial scene from two depth views, base frame, on a grid of 1/8192 m", ("scene_id", "point"), (
     _SCENE_ID, integer("point", "number of the point"), enum("point_type", PointType, "what the point lies on"),
     single("x_m", "base frame", "m"), single("y_m", "base frame", "m"), single("z_m", "base frame", "m"),
 ))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import pyarrow as pa
@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from tables.columns import Column, SchemaError, TableSchema
+from tables.encodings import COMPRESSION, COMPRESSION_LEVEL, ROW_GROUP_ROWS, encodings_of
 from tables.files import file_sha256, published_file, remove, write_bytes_atomically, write_text_atomically
 from tables.schemas import SCHEMA_VERSION
 from tables.sidecar import (
@@ -46,8 +47,6 @@ __all__ = [
     "write_table",
     "write_text_atomically",
 ]
-
-ROW_GROUP_ROWS = 16_384
 
 
 def table_from_rows(schema: TableSchema, rows: Iterable[Mapping[str, Any]]) -> pa.Table:
@@ -130,7 +129,7 @@ def write_table(schema: TableSchema, table: pa.Table, path: Path, made_from: Map
     check_table(schema, table)
     remove(sidecar_path(path))
     with published_file(path) as handle:
-        pq.write_table(table, handle, compression="zstd", row_group_size=ROW_GROUP_ROWS, write_page_index=True, store_schema=True)
+        _write_parquet(table, handle)
     sidecar = Sidecar(schema.name, table.num_rows, file_sha256(path), content_hash(table), SCHEMA_VERSION, of, dict(made_from or {}))
     write_sidecar(path, sidecar)
     return sidecar
@@ -167,6 +166,21 @@ def join_tables(schema: TableSchema, tables: Sequence[pa.Table]) -> pa.Table:
     """Concatenate tables of one schema in key order; raises SchemaError where a key repeats."""
     joined = pa.concat_tables([t.cast(_undictionaried(schema)) for t in tables])
     return table_from_columns(schema, {name: joined[name] for name in schema.names})
+
+
+def _write_parquet(table: pa.Table, handle: IO[bytes]) -> None:
+    encodings = encodings_of(table)
+    pq.write_table(
+        table,
+        handle,
+        compression=COMPRESSION,
+        compression_level=COMPRESSION_LEVEL,
+        use_dictionary=list(encodings.with_dictionary),
+        column_encoding=encodings.others,
+        row_group_size=ROW_GROUP_ROWS,
+        write_page_index=True,
+        store_schema=True,
+    )
 
 
 def _read_parquet(schema: TableSchema, path: Path, sidecar: Sidecar, verify: bool) -> pa.Table:

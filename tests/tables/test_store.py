@@ -6,12 +6,14 @@ import json
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tables.columns import SchemaError, TableSchema, enum, plain, real, reals
+from tables.columns import SchemaError, TableSchema, enum, flag, integer, integers, plain, real, reals, single
 from tables.schemas import ALL_SCHEMAS, EXECUTION_LABELS, SPLITS
 from tables.store import StoreError, content_hash, read_sidecar, read_table, read_tables, sidecar_path, table_from_rows, write_table
 from tables.vocabulary import Split
@@ -65,6 +67,50 @@ def test_round_trip_on_disk(tmp_path: Path) -> None:
     assert back.to_pylist() == rows
     assert content_hash(back) == sidecar.content_hash == content_hash(table)
     assert read_sidecar(tmp_path / "t.parquet").made_from == {"recipe": "abc"}
+
+
+def test_encodings_follow_types_and_values_and_lose_nothing(tmp_path: Path) -> None:
+    columns = (
+        *(
+            plain("id", "key"),
+            enum("split", Split, "kind"),
+            flag("is_even", "flag"),
+            integer("k", "counter"),
+            integer("digit", "few values"),
+        ),
+        *(real("noise_m", "no two alike", "m", nullable=True), real("step_m", "few values", "m"), single("bulk_m", "32 bits", "m")),
+        *(reals("path", "no two alike"), integers("faces", "numbers")),
+    )
+    schema = TableSchema("mixed", "rows for tests", ("id",), columns)
+    noise, n = np.random.default_rng(1).normal(size=3000), 1000
+    rows = [
+        {
+            **{
+                "id": f"full-0001-t{k // 100}-g{k % 100:02d}",
+                "split": ["train", "test"][k % 2],
+                "is_even": k % 2 == 0,
+                "k": k,
+                "digit": k % 7,
+            },
+            **{"noise_m": None if k % 5 == 0 else noise[k], "step_m": 0.5 * (k % 3), "bulk_m": float(np.float32(noise[k]))},
+            **{"path": noise[n + k : n + k + k % 3].tolist(), "faces": list(range(k % 4))},
+        }
+        for k in range(n)
+    ]
+    table = table_from_rows(schema, rows)
+    write_table(schema, table, tmp_path / "t.parquet")
+    assert read_table(schema, tmp_path / "t.parquet", verify=True).to_pylist() == rows
+    group = pq.ParquetFile(tmp_path / "t.parquet").metadata.row_group(0)
+    encodings = {column.path_in_schema: set(column.encodings) for column in map(group.column, range(group.num_columns))}
+    for path in ("split", "step_m", "digit"):
+        assert "RLE_DICTIONARY" in encodings[path]
+    for path in ("noise_m", "bulk_m", "path.list.element"):
+        assert "BYTE_STREAM_SPLIT" in encodings[path]
+    assert "DELTA_BYTE_ARRAY" in encodings["id"]
+    assert "DELTA_BINARY_PACKED" in encodings["k"]
+    assert pl.read_parquet(tmp_path / "t.parquet")["noise_m"].to_list() == [row["noise_m"] for row in rows]
+    pq.write_table(table, tmp_path / "default.parquet", compression="zstd")
+    assert (tmp_path / "t.parquet").stat().st_size < 0.8 * (tmp_path / "default.parquet").stat().st_size
 
 
 def test_equal_tables_are_equal_files(tmp_path: Path) -> None:

@@ -25,6 +25,8 @@ OBJECT_MODEL = cuboid_model()
 SCENE = scene_of(OBJECT_MODEL, OBSTACLES)
 # The renderer's depth buffer is 32 bits wide: some micrometres at a metre.
 ON_SURFACE_M = 2e-5
+# As good as no grid: what the renderer says.
+AS_RENDERED = CameraParams(grid_m=2.0**-20)
 
 
 def _points(rows: list[Row], kind: str) -> np.ndarray:
@@ -39,8 +41,8 @@ def _off_box_m(points: np.ndarray, T: np.ndarray, size: np.ndarray) -> np.ndarra
 
 
 def test_points_lie_on_what_they_are_called() -> None:
-    rows = scene_point_rows(OBJECT_MODEL, SCENE, CameraParams(), 42)
-    params = CameraParams()
+    params = AS_RENDERED
+    rows = scene_point_rows(OBJECT_MODEL, SCENE, params, 42)
     table_from_rows(schemas.SCENE_POINTS, rows)
     assert len(rows) == params.n_points
     points = {kind: _points(rows, kind) for kind in ("object", "obstacle", "environment")}
@@ -49,10 +51,26 @@ def test_points_lie_on_what_they_are_called() -> None:
     assert _off_box_m(points["object"], SCENE.T_base_object, np.array([0.06, 0.09, 0.14])).max() < ON_SURFACE_M
     assert _off_box_m(points["obstacle"], OBSTACLES[0].T_base_obstacle, SIZE).max() < ON_SURFACE_M
     assert np.abs(points["environment"][:, 2]).max() < ON_SURFACE_M
-    assert np.linalg.norm(points["environment"][:, :2], axis=1).max() <= params.max_radius_m
+    assert np.linalg.norm(points["environment"][:, :2], axis=1).max() <= params.max_radius_m + params.grid_m
     # Two opposite views see all four sides and the top, hence nearly the whole extent.
     local = (points["object"] - SCENE.T_base_object[:3, 3]) @ SCENE.T_base_object[:3, :3]
     assert np.ptp(local, axis=0) == pytest.approx([0.06, 0.09, 0.14], abs=0.01)
+
+
+def test_points_are_those_of_the_renderer_on_the_grid() -> None:
+    params = CameraParams()
+    made, rendered = (scene_point_rows(OBJECT_MODEL, SCENE, some, 42) for some in (params, AS_RENDERED))
+    points, exact = (np.array([[row["x_m"], row["y_m"], row["z_m"]] for row in rows]) for rows in (made, rendered))
+    assert [row["point_type"] for row in made] == [row["point_type"] for row in rendered]
+    # Half a step on each axis, and half of the fine grid's.
+    assert np.abs(points - exact).max() <= params.grid_m / 2 + AS_RENDERED.grid_m / 2
+    assert np.array_equal(points, np.rint(points * 8192) / 8192)
+    stored = table_from_rows(schemas.SCENE_POINTS, made)
+    assert np.array_equal(np.column_stack([stored[name].to_numpy() for name in ("x_m", "y_m", "z_m")]).astype(np.float64), points)
+    assert np.array_equal(
+        points[np.array([row["point_type"] for row in made]) == "environment", 2], np.zeros(len(_points(made, "environment")))
+    )
+    assert not np.signbit(points[points == 0.0]).any()
 
 
 def test_points_depend_on_seed_and_scene_alone() -> None:
@@ -108,7 +126,7 @@ def test_the_robot_is_drawn_where_its_joints_put_it() -> None:
     assert np.linalg.norm(points - fk(HOME_Q_RAD)[:3, 3], axis=1).min() < 0.05
 
 
-@pytest.mark.parametrize(("field", "value"), [("n_points", 100), ("fov_deg", 200.0), ("eyes_m", ())])
+@pytest.mark.parametrize(("field", "value"), [("n_points", 100), ("fov_deg", 200.0), ("eyes_m", ()), ("grid_m", 1e-4)])
 def test_params_are_valid_from_birth(field: str, value: object) -> None:
     with pytest.raises(ValueError, match=field.removesuffix("_m")):
         CameraParams(**{field: value})  # type: ignore[arg-type]
