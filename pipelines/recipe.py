@@ -23,7 +23,7 @@ from objects.build import ObjectParams
 from objects.gripper import MAX_JAW_M, OPEN_CLEARANCE_M
 from pipelines.engines.bounds import BoundsError
 from pipelines.engines.physics.hand_params import HandWorldParams
-from pipelines.engines.physics.world import GRAVITY_M_S2, PhysicsParams
+from pipelines.engines.physics.params import PhysicsParams
 from pipelines.engines.planning.trajectory import MotionParams
 from pipelines.grasps.admission import AdmissionParams
 from pipelines.grasps.pick_lift import PickLiftParams
@@ -32,7 +32,7 @@ from pipelines.labels.planning import PlanningParams, PlanningSetup
 from pipelines.scenes.points import CameraParams
 from pipelines.scenes.sampling import SceneSamplingParams
 from pipelines.stage import Promise
-from pipelines.values import SceneAllocation
+from pipelines.values import GRAVITY_M_S2, SceneAllocation
 from tables.errors import PlaceBenchError
 from tables.identity import FAMILIES
 
@@ -129,7 +129,7 @@ _AGREEMENTS = (
     *(
         (f"scene_sampling.{radius}[1]", "<=", bound)
         for radius in ("radius_m", "obstacle_radius_m")
-        for bound in ("camera.max_radius_m", "physics.table_x_m[1]", "physics.table_y_m[1]")
+        for bound in ("camera.max_radius_m", *(f"{engine}.table_{axis}_m[1]" for engine in ("physics", "hand_physics") for axis in "xy"))
     ),
 )
 _RELATIONS: dict[str, tuple[Callable[[float, float], bool], str]] = {
@@ -141,16 +141,17 @@ _RELATIONS: dict[str, tuple[Callable[[float, float], bool], str]] = {
 
 def _waits(recipe: Recipe) -> tuple[tuple[str, str, float], ...]:
     """Seconds and steps that must be enough for what happens in them: key, what sets the least, the least."""
-    finger_m_s, physics = recipe.physics.finger_speed_m_s, recipe.physics
+    hand = recipe.hand_physics
+    finger = f"at hand_physics.finger_speed_m_s = {hand.finger_speed_m_s}"
     fall_s = math.sqrt(2 * recipe.planning.release_height_m / GRAVITY_M_S2)
     return (
-        ("pick_lift.max_close_s", f"{MAX_JAW_M / 2:g} m at physics.finger_speed_m_s = {finger_m_s}", MAX_JAW_M / 2 / finger_m_s),
-        ("execution.max_open_s", f"{OPEN_CLEARANCE_M:g} m at physics.finger_speed_m_s = {finger_m_s}", OPEN_CLEARANCE_M / finger_m_s),
+        ("pick_lift.max_close_s", f"{MAX_JAW_M / 2:g} m {finger}", MAX_JAW_M / 2 / hand.finger_speed_m_s),
+        ("execution.max_open_s", f"{OPEN_CLEARANCE_M:g} m {finger}", OPEN_CLEARANCE_M / hand.finger_speed_m_s),
         ("execution.release_wait_s", f"a fall from planning.release_height_m = {recipe.planning.release_height_m}", fall_s),
         (
             "execution.max_settle_steps",
-            f"physics.settled_checks = {physics.settled_checks} times physics.check_every_steps = {physics.check_every_steps}",
-            physics.settled_checks * physics.check_every_steps,
+            f"hand_physics.settled_checks = {hand.settled_checks} times hand_physics.check_every_steps = {hand.check_every_steps}",
+            hand.settled_checks * hand.check_every_steps,
         ),
     )
 

@@ -14,6 +14,7 @@ from tables.poses import inverse
 # The workbench that the arm stands on, top at z = 0, in the base frame.
 TABLE_X_M = (-0.4, 1.1)
 TABLE_Y_M = (-0.9, 0.9)
+GRAVITY_M_S2 = 9.81
 
 
 @dataclass(frozen=True, slots=True)

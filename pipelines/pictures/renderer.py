@@ -13,7 +13,7 @@ import pybullet
 from jaxtyping import Float, Int, UInt8
 
 from objects.object_model import TriangleMesh
-from pipelines.engines.physics.bodies import franka_folder
+from pipelines.engines.robot.description import panda_urdf
 from tables.poses import pose_of
 
 Rgb = tuple[float, float, float]
@@ -73,7 +73,7 @@ class Renderer:
 
     def add_robot(self) -> int:
         """The Panda with pybullet_data's meshes; returns its number."""
-        return int(pybullet.loadURDF(str(franka_folder() / "panda.urdf"), useFixedBase=True, physicsClientId=self._client))
+        return int(pybullet.loadURDF(str(panda_urdf()), useFixedBase=True, physicsClientId=self._client))
 
     def pose_robot(self, robot: int, q: Float[np.ndarray, "7"], fingers_m: Float[np.ndarray, "2"]) -> None:
         """Put the robot at a configuration."""

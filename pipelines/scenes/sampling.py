@@ -9,7 +9,8 @@ from functools import partial
 from objects.object_model import ObjectModel
 from pipelines import laws
 from pipelines.codecs import Row, pose_row
-from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
+from pipelines.engines.physics.params import PhysicsParams
+from pipelines.engines.physics.world import PhysicsWorld
 from pipelines.scenes.draws import Arrangement, Draws, Placed, SceneSamplingParams, draw_object, draw_obstacle, draw_target, is_relevant
 from pipelines.scenes.reach import OpenHands
 from pipelines.stage import Stage, Unit, UnitResult, timing_row

@@ -150,19 +150,27 @@ def test_a_bad_recipe_is_one_line_with_key_value_and_bound(tmp_path: Path, conte
         ("[camera]\nmax_radius_m = 0.75\n", "scene_sampling.radius_m[1] = 0.78, must be at most camera.max_radius_m = 0.75"),
         ("[physics]\ntable_x_m = [-0.4, 0.7]\n", "scene_sampling.radius_m[1] = 0.78, must be at most physics.table_x_m[1] = 0.7"),
         ("[physics]\ntable_y_m = [-0.9, 0.7]\n", "scene_sampling.radius_m[1] = 0.78, must be at most physics.table_y_m[1] = 0.7"),
+        ("[hand_physics]\ntable_x_m = [-0.4, 0.7]\n", "scene_sampling.radius_m[1] = 0.78, must be at most hand_physics.table_x_m[1] = 0.7"),
         (
             "[scene_sampling]\nobstacle_radius_m = [0.3, 0.96]\n",
             "scene_sampling.obstacle_radius_m[1] = 0.96, must be at most camera.max_radius_m = 0.95",
         ),
-        ("[pick_lift]\nmax_close_s = 0.3\n", "pick_lift.max_close_s = 0.3, must be at least 0.4: 0.04 m at physics.finger_speed_m_s = 0.1"),
-        ("[execution]\nmax_open_s = 0.1\n", "execution.max_open_s = 0.1, must be at least 0.12: 0.012 m at physics.finger_speed_m_s = 0.1"),
+        (
+            "[pick_lift]\nmax_close_s = 0.7\n",
+            "pick_lift.max_close_s = 0.7, must be at least 0.8: 0.04 m at hand_physics.finger_speed_m_s = 0.05",
+        ),
+        (
+            "[execution]\nmax_open_s = 0.2\n",
+            "execution.max_open_s = 0.2, must be at least 0.24: 0.012 m at hand_physics.finger_speed_m_s = 0.05",
+        ),
         (
             "[planning]\nrelease_height_m = 0.05\n[execution]\nrelease_wait_s = 0.05\n",
             "execution.release_wait_s = 0.05, must be at least 0.101: a fall from planning.release_height_m = 0.05",
         ),
         (
             "[execution]\nmax_settle_steps = 20\n",
-            "execution.max_settle_steps = 20, must be at least 24: physics.settled_checks = 3 times physics.check_every_steps = 8",
+            "execution.max_settle_steps = 20, must be at least 24: hand_physics.settled_checks = 3 times"
+            " hand_physics.check_every_steps = 8",
         ),
     ],
 )

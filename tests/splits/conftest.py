@@ -10,7 +10,7 @@ import pytest
 from splits.release import write_release
 from tables.store import read_table
 from tests.model.synthetic_release import RELEASE_SCHEMAS, TOLERANCES, write_synthetic_release
-from tests.splits.damage import PROVENANCE
+from tests.splits.damage import PROVENANCE, copy_of
 
 
 @pytest.fixture(scope="session")
@@ -26,3 +26,9 @@ def release(release_tables: dict[str, pa.Table], tmp_path_factory: pytest.TempPa
     directory = tmp_path_factory.mktemp("release")
     write_release(release_tables, directory, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
     return directory
+
+
+@pytest.fixture(scope="module")
+def own_copy(release: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy that every example damages and mends again."""
+    return copy_of(release, tmp_path_factory.mktemp("bytes"))

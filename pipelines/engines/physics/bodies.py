@@ -1,28 +1,21 @@
-"""What the physics engine is given of an object and the arm: collision shapes, mass frames and the arm's URDF; the world is world's."""
+"""What Bullet is given of an object: collision shapes and its mass frame; the world is world.py."""
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
-import pybullet_data
 from jaxtyping import Float, Int
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from objects.gripper import FINGER_BOXES
 from objects.object_model import ObjectModel, TriangleMesh
 from pipelines.engines.physics.errors import PhysicsError
-from pipelines.engines.physics.link_directions import LINK_DIRECTIONS
 from tables.poses import pose_of
 
 # Bullet pads every convex hull by this much and nothing can turn it off (`collisionMargin=0` does not); boxes it pads inwards.
 HULL_MARGIN_M = 0.001
-# What obstacles and table can still reach of the arm; the planner keeps the links before these away from everything.
-COLLIDING_LINKS = ("panda_link5", "panda_link6", "panda_link7", "panda_hand")
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,76 +134,3 @@ def _obj_text(meshes: list[TriangleMesh]) -> str:
         lines += [f"f {a} {b} {c}" for a, b, c in mesh.faces + first]
         first += len(mesh.vertices_m)
     return "\n".join(lines) + "\n" if meshes else ""
-
-
-@lru_cache(maxsize=1)
-def link_hulls() -> dict[str, TriangleMesh]:
-    """Simplified convex hulls of the links that collide, link frames; with Bullet's padding inside the exact hulls.
-
-    Within 6 mm of the exact hull and never outside it (tested), at a fifth of its load time. Paths are checked against the exact hulls
-    when they are planned; in physics a link may only err on the side of not touching.
-    """
-    hulls = {}
-    for link in COLLIDING_LINKS:
-        vertices_m = link_mesh_vertices(link)
-        hull = hull_mesh(vertices_m[np.unique(np.argmax(LINK_DIRECTIONS @ vertices_m.T, axis=1))])
-        # Half-extents are cut by twice the padding: oblique faces move less than the axes do. `shrunk_hull` would add vertices.
-        low_m, high_m = hull.vertices_m.min(axis=0), hull.vertices_m.max(axis=0)
-        scale = 1.0 - 4 * HULL_MARGIN_M / (high_m - low_m)
-        hulls[link] = TriangleMesh((low_m + high_m) / 2 + scale * (hull.vertices_m - (low_m + high_m) / 2), hull.faces)
-    return hulls
-
-
-def link_mesh_vertices(link: str) -> Float[np.ndarray, "v 3"]:
-    """Vertices of a link's collision mesh in pybullet_data, link frame, metres."""
-    path = franka_folder() / "meshes" / "collision" / f"{link.removeprefix('panda_')}.obj"
-    return np.array([line.split()[1:4] for line in path.read_text().splitlines() if line.startswith("v ")], dtype=np.float64)
-
-
-def franka_folder() -> Path:
-    """Folder of the Panda's URDF and meshes."""
-    return Path(pybullet_data.getDataPath()) / "franka_panda"
-
-
-def write_arm(folder: Path) -> Path:
-    """Write the Panda's URDF for physics and its link hulls into `folder`.
-
-    Joints, masses and inertias are pybullet_data's; there is no visual, links 5 to 7 and the hand collide by their hulls, fingers by the
-    boxes of objects.gripper, the links before them not at all: loading takes 0.5 ms instead of 20.
-    """
-    robot = ET.fromstring((franka_folder() / "panda.urdf").read_text())
-    hulls = link_hulls()
-    for link in robot.findall("link"):
-        name = link.get("name", "")
-        for tag in ("visual", "collision", "contact"):
-            for element in link.findall(tag):
-                link.remove(element)
-        if name in hulls:
-            (folder / f"{name}.obj").write_text(_obj_text([hulls[name]]))
-            geometry = _add_collision(link, (0.0, 0.0, 0.0))
-            ET.SubElement(geometry, "mesh", filename=f"{name}.obj")
-        for centre, size in _finger_boxes(name):
-            ET.SubElement(_add_collision(link, centre), "box", size=_spaced(size))
-    # The URDF's grasp target is at 0.105 m; our TCP is at 0.1034 m and computed, so the frame would only mislead.
-    robot.remove(next(j for j in robot.findall("joint") if j.get("name") == "panda_grasptarget_hand"))
-    robot.remove(next(k for k in robot.findall("link") if k.get("name") == "panda_grasptarget"))
-    path = folder / "panda_physics.urdf"
-    path.write_text(ET.tostring(robot, encoding="unicode"))
-    return path
-
-
-def _finger_boxes(link: str) -> list[tuple[tuple[float, float, float], tuple[float, float, float]]]:
-    if link in ("panda_leftfinger", "panda_rightfinger"):
-        side = 1.0 if link == "panda_leftfinger" else -1.0
-        return [((x, side * y, z), size) for (x, y, z), size in FINGER_BOXES]
-    return []
-
-
-def _add_collision(link: ET.Element, centre: tuple[float, float, float]) -> ET.Element:
-    collision = ET.SubElement(link, "collision")
-    ET.SubElement(collision, "origin", xyz=_spaced(centre), rpy="0 0 0")
-    return ET.SubElement(collision, "geometry")
-
-
-def _spaced(values: tuple[float, float, float]) -> str:
-    return " ".join(map(repr, values))

@@ -1,8 +1,7 @@
-"""Puts table, boxes, object and Panda into a PyBullet client, with the materials and motors of the recipe; see world.py for the world."""
+"""Puts table, boxes and object into a PyBullet client, with the materials of the recipe; see world.py for the world."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,23 +13,8 @@ from pipelines.engines.physics.params import PhysicsParams
 from tables.poses import pose_of
 
 
-@dataclass(frozen=True, slots=True)
-class RobotIds:
-    """The numbers by which a client knows the robot: its body, its arm and finger joints in order, its links by name."""
-
-    body: int
-    arm: tuple[int, ...]
-    fingers: tuple[int, int]
-    links: dict[str, int]
-
-    @property
-    def joints(self) -> tuple[int, ...]:
-        """Arm joints, then finger joints."""
-        return (*self.arm, *self.fingers)
-
-
 def add_table(client: int, params: PhysicsParams) -> int:
-    """The table, top at z = 0; the links near the robot's base do not collide, so it may lie under them."""
+    """The table, top at z = 0."""
     (x0, x1), (y0, y1), thickness = params.table_x_m, params.table_y_m, params.table_thickness_m
     T = np.eye(4)
     T[:3, 3] = (x0 + x1) / 2, (y0 + y1) / 2, -thickness / 2
@@ -93,28 +77,3 @@ def add_object(client: int, body: ObjectBody, mass_kg: float, friction: float, h
         physicsClientId=client,
     )
     return number
-
-
-def add_robot(client: int, params: PhysicsParams, arm_urdf: str) -> RobotIds:
-    """The Panda at the origin, its fingers coupled."""
-    flags = pybullet.URDF_USE_INERTIA_FROM_FILE
-    body = int(pybullet.loadURDF(arm_urdf, useFixedBase=True, flags=flags, physicsClientId=client))
-    infos = [pybullet.getJointInfo(body, k, physicsClientId=client) for k in range(pybullet.getNumJoints(body, physicsClientId=client))]
-    joints = {info[1].decode(): k for k, info in enumerate(infos)}
-    left, right = (joints[f"panda_finger_joint{k}"] for k in (1, 2))
-    for link in (left, right, joints["panda_hand_joint"]):
-        pybullet.changeDynamics(
-            body,
-            link,
-            lateralFriction=params.finger_friction,
-            spinningFriction=params.spinning_friction,
-            restitution=0.0,
-            # Without it a held object creeps, some micrometres a step: friction alone stops speeds, an anchor remembers the place. It
-            # gives way where Coulomb's bound is reached.
-            frictionAnchor=1,
-            physicsClientId=client,
-        )
-    gear = pybullet.createConstraint(body, left, body, right, pybullet.JOINT_GEAR, [0, 1, 0], [0] * 3, [0] * 3, physicsClientId=client)
-    pybullet.changeConstraint(gear, gearRatio=-1, erp=params.gear_erp, maxForce=params.gear_force_n, physicsClientId=client)
-    arm = tuple(joints[f"panda_joint{k}"] for k in range(1, 8))
-    return RobotIds(body, arm, (left, right), {info[12].decode(): k for k, info in enumerate(infos)})

@@ -1,4 +1,4 @@
-"""When has an object come to rest? One question and one answer for every engine; motions are rollout.py and hand_rollout.py."""
+"""When has an object come to rest? One question and one answer for every engine; motions of the hand are hand_rollout.py."""
 
 from __future__ import annotations
 

@@ -14,9 +14,9 @@ from jaxtyping import Float
 
 from objects.gripper import FINGER_BOXES, FINGER_FROM_HAND_M, MAX_JAW_M, TCP_FROM_HAND_M
 from objects.object_model import ObjectModel
-from pipelines.engines.physics.bodies import link_mesh_vertices
 from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.engines.physics.pads import PAD_FACE_M, PadCells, pad_cells
+from pipelines.engines.robot.description import collision_vertices
 from pipelines.values import Obstacle
 from tables.poses import pose_of
 from tables.vocabulary import Symmetry
@@ -114,7 +114,7 @@ def add_hand(
     bare: Attributes = {"friction": _text([params.table_friction * scaled, 1e-5, 1e-5]), "priority": "2", "condim": "3", **_HAND, **_HARD}
     mu_pad = params.pad_friction * scaled
     pad: Attributes = {**bare, "friction": _text([mu_pad, 1e-5, 1e-5])}
-    ET.SubElement(asset, "mesh", name="panda_hand", vertex=_text(link_mesh_vertices("panda_hand")), inertia="convex")
+    ET.SubElement(asset, "mesh", name="panda_hand", vertex=_text(collision_vertices("hand")), inertia="convex")
     ET.SubElement(body, "geom", name="panda_hand 0", type="mesh", mesh="panda_hand", **bare)
     cells = pad_cells(params.cells_per_side, params.pad_lever_scale)
     cell: Attributes = {**bare, "friction": _text([mu_pad, mu_pad * cells.lever_m, 1e-5]), "condim": "4"}

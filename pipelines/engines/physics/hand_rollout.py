@@ -1,7 +1,4 @@
-"""Motions of a hand world: follow a trajectory, hold, close, open, settle, and watch what happens; verdicts are the stages'.
-
-The same names and meanings as in rollout.py, which runs them in the other engine.
-"""
+"""Motions of a hand world: follow a trajectory, hold, close, open, and watch what happens; verdicts are the stages'."""
 
 from __future__ import annotations
 

@@ -13,10 +13,9 @@ from pipelines.engines.physics.contact_forces import ContactForces
 from pipelines.engines.physics.hand_model import Carrier, SceneModel, build_model
 from pipelines.engines.physics.hand_motion import cross
 from pipelines.engines.physics.hand_params import HandWorldParams
-from pipelines.values import Obstacle
+from pipelines.values import GRAVITY_M_S2, Obstacle
 from tables.poses import inverse, pose_of
 
-GRAVITY_M_S2 = 9.81
 GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
 _WXYZ = np.array([6, 3, 4, 5])
 

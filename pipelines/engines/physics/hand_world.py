@@ -28,9 +28,9 @@ from pipelines.engines.physics.hand_bodies import FINGERS, HAND_MASS_KG, fixed_b
 from pipelines.engines.physics.hand_model import Carrier
 from pipelines.engines.physics.hand_motion import HandMotion, cross, inertia_load
 from pipelines.engines.physics.hand_params import HandWorldParams
-from pipelines.engines.physics.hand_state import GRAVITY, GRAVITY_M_S2, HandState
+from pipelines.engines.physics.hand_state import GRAVITY, HandState
 from pipelines.engines.robot.arm import fk
-from pipelines.values import Obstacle
+from pipelines.values import GRAVITY_M_S2, Obstacle
 from tables.poses import inverse
 
 __all__ = ["GRAVITY_M_S2", "LOST_TICKS", "HandWorld"]

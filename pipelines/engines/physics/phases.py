@@ -1,4 +1,4 @@
-"""What an arm is doing, who watches it, and how far apart two poses are: the words that both engines' motions share."""
+"""What an arm is doing, who watches it, and how far apart two poses are: the words that engines and stages share."""
 
 from __future__ import annotations
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from pipelines.engines.physics.coming_to_rest import settle
-from pipelines.engines.physics.phases import Phase, pose_difference
-from pipelines.engines.physics.rollout import hold
+from pipelines.engines.physics.coming_to_rest import n_steps_of, settle
+from pipelines.engines.physics.phases import pose_difference
 from pipelines.engines.physics.world import PhysicsWorld
 
 
@@ -17,15 +16,16 @@ def rest_drift(
     """Leave the object alone for a while.
 
     Args:
-        world: a world without robot; it is built anew.
+        world: it is built anew.
         label: names the run in errors.
 
     Returns:
         The pose it has then (None where it still moves), and how far it moved: metres, and radians modulo its symmetry.
     """
-    world.rebuild(label, with_robot=False)
+    world.rebuild(label)
     world.set_object(T_base_object)
-    hold(world, Phase.SETTLE, duration_s)
+    for _ in range(n_steps_of(world, duration_s)):
+        world.step()
     is_at_rest = settle(world, 2 * world.params.settled_checks * world.params.check_every_steps)
     T = world.object_pose()
     drift_m, _ = pose_difference(T_base_object, T)

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import coal
 import numpy as np
 import pinocchio as pin
-import pybullet_data
 import trimesh
 from jaxtyping import Float
 
 from objects.gripper import FINGER_BOXES, TCP_FROM_HAND_M
+from pipelines.engines.robot.description import collision_mesh, panda_urdf
 
 N_LINKS = 8  # link0 (the base) to link7
 LAST_LINK = 7
@@ -59,11 +58,10 @@ class Panda:
 @lru_cache(maxsize=1)
 def panda() -> Panda:
     """The robot of the URDF in pybullet_data."""
-    folder = Path(pybullet_data.getDataPath()) / "franka_panda"
-    model = pin.buildModelFromUrdf(str(folder / "panda.urdf"))
+    model = pin.buildModelFromUrdf(str(panda_urdf()))
     T_link7_hand = model.frames[model.getFrameId("panda_hand")].placement.homogeneous
-    links = tuple(_hull(folder, f"link{k}", k, np.eye(4)) for k in range(N_LINKS))
-    hand = _hull(folder, "hand", LAST_LINK, T_link7_hand)
+    links = tuple(_hull(f"link{k}", k, np.eye(4)) for k in range(N_LINKS))
+    hand = _hull("hand", LAST_LINK, T_link7_hand)
     fingers = tuple(
         _finger_box(f"{side}_finger_{part}", model.getJointId(f"panda_finger_joint{number}"), sign, box)
         for number, side, sign in ((1, "left", 1.0), (2, "right", -1.0))
@@ -107,8 +105,8 @@ def lowest_m(T: Float[np.ndarray, "*t 4 4"], points: Float[np.ndarray, "n 3"]) -
     return float((np.einsum("...j,nj->...n", T[..., 2, :3], points) + T[..., 2, 3:]).min())
 
 
-def _hull(folder: Path, name: str, joint: int, T_joint_shape: Float[np.ndarray, "4 4"]) -> Shape:
-    mesh = trimesh.load_mesh(folder / "meshes" / "collision" / f"{name}.obj")
+def _hull(name: str, joint: int, T_joint_shape: Float[np.ndarray, "4 4"]) -> Shape:
+    mesh = trimesh.load_mesh(collision_mesh(name))
     vertices = np.asarray(mesh.convex_hull.vertices)
     return Shape(name, joint, T_joint_shape, convex(vertices), moved(T_joint_shape, vertices))
 

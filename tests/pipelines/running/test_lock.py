@@ -116,9 +116,9 @@ def test_a_lock_is_taken_over_from_a_killed_builder_with_one_log_line(
         "import subprocess; subprocess.Popen(['sleep', '120'], stdout=subprocess.DEVNULL); say('held'); time.sleep(120)",
         """\
         from pipelines.running.workers import Workers
-        from tests.pipelines.running.test_workers import _pid
+        from tests.pipelines.running.units import pid_after
         with Workers(2) as workers:
-            for outcome in workers.run(_pid, [(0, 0.0), *[(k, 120.0) for k in range(4)]]):
+            for outcome in workers.run(pid_after, [(0, 0.0), *[(k, 120.0) for k in range(4)]]):
                 say('held')
         """,
     ],

@@ -10,8 +10,9 @@ import pytest
 from objects.gripper import gripper_boxes, open_jaw_m
 from objects.object_model import ObjectModel
 from pipelines.codecs import scenes_from_tables
+from pipelines.engines.physics.params import PhysicsParams
 from pipelines.engines.physics.resting import rest_drift
-from pipelines.engines.physics.world import PhysicsParams, PhysicsWorld
+from pipelines.engines.physics.world import PhysicsWorld
 from pipelines.engines.robot.arm import ik
 from pipelines.scenes.reach import OpenHands
 from pipelines.scenes.sampling import SceneError, SceneSamplingParams, SceneTables, sample_scene

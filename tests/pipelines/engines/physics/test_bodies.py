@@ -1,8 +1,6 @@
-"""Laws of what the engine is given: sizes after padding, mass frames, link hulls."""
+"""Laws of what Bullet is given of an object: sizes after padding, mass frames, boxes and halves."""
 
 from __future__ import annotations
-
-import hashlib
 
 import numpy as np
 import pytest
@@ -12,21 +10,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from objects.object_model import ObjectModel
-from pipelines.engines.physics.bodies import (
-    COLLIDING_LINKS,
-    HULL_MARGIN_M,
-    link_hulls,
-    link_mesh_vertices,
-    object_body,
-    shrunk_hull,
-)
+from pipelines.engines.physics.bodies import HULL_MARGIN_M, object_body, shrunk_hull
 from tests.pipelines.engines.physics.object_models import can_model, cuboid_model, mug_model
-
-
-def _beyond(vertices_m: np.ndarray, hull_vertices_m: np.ndarray) -> float:
-    """How far the furthest vertex lies outside a hull."""
-    planes = ConvexHull(hull_vertices_m).equations
-    return float((vertices_m @ planes[:, :3].T + planes[:, 3]).max())
 
 
 @settings(max_examples=25, deadline=None)
@@ -82,28 +67,3 @@ def test_a_turned_box_is_not_taken_for_an_aligned_one() -> None:
     part = type(object_model.parts[0])(turned, object_model.parts[0].faces)
     other = type(object_model)(**{name: getattr(object_model, name) for name in object_model.__slots__} | {"parts": (part,)})
     assert object_body(other).boxes == ()
-
-
-@pytest.mark.parametrize("link", COLLIDING_LINKS)
-def test_link_hulls_stay_inside_the_exact_hull_and_near_it(link: str) -> None:
-    exact, simple = link_mesh_vertices(link), link_hulls()[link].vertices_m
-    # The engine pads by 1 mm. 0.1 mm too much is a tenth of what the planner's table tolerance forgives; 6 mm too little is what 256
-    # directions leave.
-    assert _beyond(simple, exact) + HULL_MARGIN_M < 1e-4
-    assert _beyond(exact, simple) - HULL_MARGIN_M < 0.006
-
-
-# SHA-256 of the vertices that the published labels were made with: other hulls give other labels, see link_directions.py.
-LINK_HULLS = {
-    "panda_link5": "02b323c9aa1633df50d813c456c40b3dacfdabeb5d489e86e0d35b184a68f190",
-    "panda_link6": "6c889644689df5423b21c583638225c020c368fba10679b180e17526da0e0dd5",
-    "panda_link7": "46509572adf4d21014215b79157369333fe28cb4259ab6da129c8e197be7c573",
-    "panda_hand": "5cef3af8ad5bc1802b0b59b5291e21b94553f6e5496d8064abae3cc1fa8951a8",
-}
-
-
-@pytest.mark.parametrize("link", COLLIDING_LINKS)
-def test_link_hulls_are_those_of_the_published_labels(link: str) -> None:
-    """Sorted: which of two equal mesh vertices is taken may depend on the machine."""
-    vertices_m = np.unique(link_hulls()[link].vertices_m, axis=0)
-    assert hashlib.sha256(vertices_m.astype("<f8").tobytes()).hexdigest() == LINK_HULLS[link]
