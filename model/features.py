@@ -74,8 +74,6 @@ def _obstacles(phase: str) -> tuple[Feature, ...]:
     return (
         Feature(f"{phase}_hand_obstacle_m", "m", f"signed distance of the hand's body to obstacle points {end}"),
         Feature(f"{phase}_fingers_obstacle_m", "m", f"signed distance of the fingers to obstacle points {end}"),
-        Feature(f"{phase}_hand_columns_m", "m", f"the same of the hand's body, obstacle points continued down to the table, {end}"),
-        Feature(f"{phase}_fingers_columns_m", "m", f"the same of the fingers, obstacle points continued down to the table, {end}"),
         Feature(f"{phase}_wrist_obstacle_m", "m", f"distance of the wrist to obstacle points {end}"),
         Feature(f"{phase}_arm_obstacle_m", "m", f"distance of the line from shoulder to wrist to obstacle points {end}"),
     )

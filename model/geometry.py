@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
 
-from model.distances import box_distance_m, lowest_corner_m, moved, segment_distance_m
+from model.distances import box_distance_m, cloud_distance_m, lowest_corner_m, moved, segment_distance_m
 from model.errors import InputError
 from model.features import CANDIDATE_GEOMETRY, FEATURES, FURTHEST_M, PHASES
 from model.hand import PAD_HALF_M, SHOULDER_M, WRIST_FROM_TCP_M, WRIST_OFFSET_M, hand_boxes, open_jaw_m
@@ -21,7 +21,6 @@ from tables.store import table_from_columns
 
 Columns = dict[str, Float[np.ndarray, "c"]]
 
-_COLUMN_STEP_M = 0.02  # a finger's thickness
 _OFFSETS_M = {"above5": 0.05, "above15": 0.15}
 _BACK_M = 0.15
 
@@ -57,7 +56,6 @@ class _ScenePoints:
 
     object_m: Float[np.ndarray, "n 3"]
     obstacle_m: Float[np.ndarray, "m 3"]
-    columns_m: Float[np.ndarray, "k 3"]  # obstacle points and those below them
     table_m: float
     T_base_object: Float[np.ndarray, "4 4"]
 
@@ -68,25 +66,7 @@ class _ScenePoints:
             points_m = cloud.points_m[cloud.point_types == number].astype(np.float64)
             of_type[number] = points_m[np.lexsort(points_m.T[::-1])]
         table_m = float(np.median(of_type[ENVIRONMENT][:, 2]))
-        columns_m = _down_to(of_type[OBSTACLE], table_m)
-        return cls(of_type[OBJECT], of_type[OBSTACLE], columns_m, table_m, cloud.T_base_object)
-
-
-def _down_to(points_m: Float[np.ndarray, "m 3"], table_m: float) -> Float[np.ndarray, "k 3"]:
-    """Points and, below each, more of them down to the table: obstacles stand on it, and the cameras see their tops and not their insides.
-
-    Points that share a cell of a grid of a finger's thickness become one.
-    """
-    if not len(points_m):
-        return points_m
-    n_below = np.maximum(0, np.floor((points_m[:, 2] - table_m) / _COLUMN_STEP_M)).astype(np.int64)
-    rows = np.repeat(np.arange(len(points_m)), n_below + 1)
-    step = np.arange(len(rows)) - np.repeat(np.cumsum(n_below + 1) - (n_below + 1), n_below + 1)
-    filled = points_m[rows]
-    filled[:, 2] -= step * _COLUMN_STEP_M
-    cell = np.floor(filled / (_COLUMN_STEP_M / 2)).astype(np.int64)
-    _, first = np.unique(cell, axis=0, return_index=True)
-    return filled[first]
+        return cls(of_type[OBJECT], of_type[OBSTACLE], table_m, cloud.T_base_object)
 
 
 def _of_group(
@@ -202,8 +182,7 @@ def _object_columns(scene: _ScenePoints, T_base_target: Float[np.ndarray, "4 4"]
     values["carry_m"] = float(np.hypot(*(T_base_target[:2, 3] - scene.T_base_object[:2, 3])))
     values["target_obstacle_m"] = FURTHEST_M
     if len(scene.obstacle_m):
-        gap_m2 = np.sum((moved_m[:, None] - scene.obstacle_m) ** 2, axis=2).min()
-        values["target_obstacle_m"] = min(FURTHEST_M, float(np.sqrt(gap_m2)))
+        values["target_obstacle_m"] = min(FURTHEST_M, cloud_distance_m(moved_m, scene.obstacle_m))
     return {name: np.full(n, value) for name, value in values.items()}
 
 
@@ -221,16 +200,12 @@ def _weight_columns(phase: str, T: Float[np.ndarray, "c 4 4"], mean_inhand_m: Fl
 def _obstacle_columns(
     phase: str, scene: _ScenePoints, T: Float[np.ndarray, "c 4 4"], boxes: tuple[Float[np.ndarray, "c b 3"], Float[np.ndarray, "b 3"]]
 ) -> Columns:
-    n = len(T)
-    columns = {f"{phase}_{name}_m": np.full(n, FURTHEST_M) for name in ("wrist_obstacle", "arm_obstacle")}
-    columns |= {f"{phase}_{part}_{what}_m": np.full(n, FURTHEST_M) for part in ("hand", "fingers") for what in ("obstacle", "columns")}
+    names = [f"{phase}_{name}_obstacle_m" for name in ("hand", "fingers", "wrist", "arm")]
     if not len(scene.obstacle_m):
-        return columns
-    for what, points_m in (("obstacle", scene.obstacle_m), ("columns", scene.columns_m)):
-        gaps = box_distance_m(moved(inverse(T), np.broadcast_to(points_m, (n, *points_m.shape))), *boxes)
-        columns[f"{phase}_hand_{what}_m"] = gaps[:, 0]
-        columns[f"{phase}_fingers_{what}_m"] = gaps[:, 1:].min(axis=1)
+        return {name: np.full(len(T), FURTHEST_M) for name in names}
+    to_boxes = box_distance_m(moved(inverse(T), np.broadcast_to(scene.obstacle_m, (len(T), *scene.obstacle_m.shape))), *boxes)
     wrist_m = _wrist_m(T)
-    columns[f"{phase}_wrist_obstacle_m"] = segment_distance_m(scene.obstacle_m, wrist_m, wrist_m)
-    columns[f"{phase}_arm_obstacle_m"] = segment_distance_m(scene.obstacle_m, np.broadcast_to(SHOULDER_M, (n, 3)), wrist_m)
-    return {name: np.minimum(values, FURTHEST_M) for name, values in columns.items()}
+    to_wrist = segment_distance_m(scene.obstacle_m, wrist_m, wrist_m)
+    to_arm = segment_distance_m(scene.obstacle_m, np.broadcast_to(SHOULDER_M, wrist_m.shape), wrist_m)
+    nearest = (to_boxes[:, 0], to_boxes[:, 1:].min(axis=1), to_wrist, to_arm)
+    return {name: np.minimum(values, FURTHEST_M) for name, values in zip(names, nearest, strict=True)}

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -82,7 +83,7 @@ def trees_probe_report(tables: Mapping[str, pa.Table], predictions: pa.Table, *,
     heads, head_metrics = _heads(frames)
     gains, gain_metrics = _gains(ranks, seed)
     header = ["policy", "joint S1 [95 %]", "fixed S1 [95 %]", f"fixed S1, {HARD[0]} or {HARD[1]} successes"]
-    blocks = [f"# {title}", *_facts(tables, ranks, split), table(header, rows), heads, gains]
+    blocks = [f"# {title}", *_facts(tables, ranks, split), table(header, rows), heads, gains, _misses(frames[_TREES[TreeVariant.GEOMETRY]])]
     return Report("trees_probe", "\n\n".join(blocks) + "\n", metrics=metrics | head_metrics | gain_metrics)
 
 
@@ -155,9 +156,21 @@ def _gains(ranks: Mapping[tuple[Policy, Task], pl.DataFrame], seed: int) -> tupl
         shown = f"{gain} points" if gain is not None else f"not estimated below {MIN_SCENES} scenes"
         lines.append(f"- {task.value}: S1 of the trees on derived geometry minus the full-pool planner's, paired over scenes: {shown}.")
         metrics |= _flat(f"{task.value}.trees_minus_full_planner.s1", gain)
-    missed = proportion(~hits[0], own["scene_id"].to_list())
-    lines.append(f"- fixed groups whose first choice of the trees fails, the most a better ranker can win: {missed} %.")
     return "\n".join(lines), metrics
+
+
+def _misses(frame: pl.DataFrame) -> str:
+    """Covered groups whose first choice of the trees fails, the most that a better ranker can win, and what becomes of that choice."""
+    lines = []
+    for task in Task:
+        covered = ranked(frame, _TREES[TreeVariant.GEOMETRY], task).filter(pl.col("success").any().over(task.group))
+        first = covered.filter(pl.col("rank") == 1).sort(task.group)
+        missed = proportion((~first["success"]).to_numpy(), first["scene_id"].to_list())
+        outcome = pl.coalesce(pl.col("exec_status").cast(pl.String), pl.col("plan_status").cast(pl.String))
+        counts = Counter(first.filter(~pl.col("success")).select(outcome.alias("outcome"))["outcome"].to_list())
+        named = ", ".join(f"{n} {status}" for status, n in sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+        lines.append(f"- {task.value}: the first choice of the trees fails in {missed} % of covered groups{f': {named}' if named else ''}.")
+    return "\n".join(lines)
 
 
 def _flat(name: str, estimate: Estimate | None) -> dict[str, float]:
