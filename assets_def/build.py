@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 from assets_def.definitions import definitions
-from assets_def.object_assets import object_assets
+from assets_def.object_assets import are_objects_done, object_assets
 from assets_def.partitions import rankers_of_tier
 from assets_def.progress import ShardProgress
 from assets_def.proof_assets import proof_steps
@@ -60,11 +60,18 @@ def build(tier: str, benchmark: Benchmark, until: str) -> None:
         StoreError: a published file is missing or broken.
         RecipeError: the recipe cannot be read.
     """
-    with _line("objects") as outcome:
-        _run("objects", [object_assets], None, benchmark)
-        outcome.append("checked")
+    _build_objects(benchmark)
     _build_shards(tier, benchmark)
     _build_steps(tier, benchmark, until)
+
+
+def _build_objects(benchmark: Benchmark) -> None:
+    with _line("objects") as outcome:
+        if are_objects_done(benchmark):
+            outcome.append("up to date")
+        else:
+            _run("objects", [object_assets], None, benchmark)
+            outcome.append("made")
 
 
 def _build_steps(tier: str, benchmark: Benchmark, until: str) -> None:

@@ -35,8 +35,9 @@ class GraspPoolParams:
     """How grasps are sampled, which are refused, and how the pool is chosen."""
 
     n_grasps: int = 64
-    # Below this an object that a user adds is refused: a scene needs 24 lifted grasps out of its pool.
-    min_grasps: int = 16
+    # Half a pool. Below this an object that a user adds is refused: no scene could be found for it, or hardly any. A recipe checks that
+    # it is at least what a scene asks for.
+    min_grasps: int = 32
     n_surface_samples: int = 1500
     # Most hit the table or the object with the hand; the side of a mug needs this many to find the few that do not.
     n_candidates: int = 24_000

@@ -115,11 +115,11 @@ _AGREEMENTS = (
     # A slip is a slip, whether it happens in the lift or on the way.
     ("execution.slipped_m", "==", "pick_lift.max_slip_m"),
     ("execution.slipped_rad", "==", "pick_lift.max_slip_rad"),
-    # A pool has no grasp that admission refuses whatever the scene, and as many as a scene asks for.
+    # A pool has no grasp that admission refuses whatever the scene, and even the smallest as many as a scene asks for.
     ("objects.grasp_pool.palm_clearance_m", ">=", "grasp_admission.palm_clearance_m"),
     ("objects.grasp_pool.table_clearance_m", ">=", "grasp_admission.table_clearance_m"),
     ("objects.grasp_pool.approach_m", ">=", "grasp_admission.pregrasp_m"),
-    ("objects.grasp_pool.n_grasps", ">=", "scene_sampling.min_initial_grasps"),
+    ("objects.grasp_pool.min_grasps", ">=", "scene_sampling.min_initial_grasps"),
     ("objects.grasp_pool.n_grasps", ">=", "scene_sampling.min_target_grasps"),
     # A placement within tolerance overlaps no obstacle, and an object left alone at its target ends within tolerance.
     ("scene_sampling.target_gap_m", ">=", "execution.position_tolerance_m"),

@@ -1,4 +1,4 @@
-"""What the paper reports, to be printed beside ours; `source` names the table or section each figure was read from.
+"""What the paper reports, to be printed beside ours, with the table or section each figure was read from.
 
 Liu, Patamia, Champion, Dazeley, Cosgun: Execution-Aware Pre-Execution Ranking for Grasp-Conditioned Robotic Placement. It used
 Isaac Sim and cuMotion, so its figures are a landmark for the protocol and no target for the labels.
@@ -42,10 +42,8 @@ RANKING = {
     (Task.FIXED, "ranker"): PaperRanking(79.67, 94.47, 97.60, 0.029),
 }
 
-PLAN_HEAD_SOURCE = "Section VI-A, test split, seed 42"
+# Section VI-A, test split, seed 42.
 PLAN_HEAD_S1 = {Task.JOINT: 78.45, Task.FIXED: 76.02}
-
-PLANNER_CALLS_SOURCE = "Section VI-A, test split, seed 42"
 PLANNER_CALLS_MEAN = {Task.JOINT: 1.17, Task.FIXED: 1.47}
 PLANNER_CALLS_MEDIAN = 1
 PLANNER_CALLS_P90 = 2
@@ -99,7 +97,7 @@ N_REPEATS = 45
 N_REPEAT_EXECUTIONS = 80
 REPEAT_OUTCOMES = {"planning failure": 31, "downstream failure": 1, "success": 18}
 
-DATASET_SOURCE = "Sections V-A and V-B"
+# Sections V-A and V-B.
 N_OBJECTS = 30
 N_SCENES = 1_235
 N_CANDIDATES = {"train": 153_072, "validation": 48_200, "test": 48_376}
@@ -107,4 +105,3 @@ N_JOINT_GROUPS_TEST = 237
 N_FIXED_GROUPS_TEST = 1_896
 CANDIDATES_PER_JOINT_GROUP_TEST = 204.1
 CANDIDATES_PER_FIXED_GROUP_TEST = 25.5
-RANKER_MS_PER_CANDIDATE = 1.14

@@ -52,20 +52,33 @@ def make_object_tables(
         LockError: somebody else builds them; names the owner.
     """
     specs = load_catalogue(catalogue)
-    sources = catalogue_sources(specs, recipe.objects, recipe.seed)
-    paths = {name: root.object_table(name) for name in OBJECT_TABLES}
-    published = intact_sidecars(paths, sources, "published tables", log)
+    published = _published(root, recipe, specs, log)
     if published is not None:
         log("objects: up to date")
         return published
+    sources = catalogue_sources(specs, recipe.objects, recipe.seed)
     with locked(root.objects_lock(), "object tables"):
         built = _all_objects(specs, recipe, ObjectStore(root, log), n_workers, log)
-        return {
-            name: write_table(
-                ALL_SCHEMAS[name], join_tables(ALL_SCHEMAS[name], [built[spec.object_id][name] for spec in specs]), paths[name], sources
-            )
-            for name in OBJECT_TABLES
-        }
+        sidecars = {}
+        for name in OBJECT_TABLES:
+            table = join_tables(ALL_SCHEMAS[name], [built[spec.object_id][name] for spec in specs])
+            sidecars[name] = write_table(ALL_SCHEMAS[name], table, root.object_table(name), sources)
+        return sidecars
+
+
+def are_objects_current(root: DataRoot, recipe: Recipe, catalogue: Path = PACKAGED_CATALOGUE) -> bool:
+    """Whether `make_object_tables` would keep every table as it is.
+
+    Raises:
+        CatalogueError: the catalogue is not what it should be.
+    """
+    return _published(root, recipe, load_catalogue(catalogue), lambda _: None) is not None
+
+
+def _published(root: DataRoot, recipe: Recipe, specs: Sequence[ObjectSpec], log: Callable[[str], Any]) -> dict[str, Sidecar] | None:
+    """Sidecars of the published tables where they are whole and of today's catalogue and parameters."""
+    paths = {name: root.object_table(name) for name in OBJECT_TABLES}
+    return intact_sidecars(paths, catalogue_sources(specs, recipe.objects, recipe.seed), "published tables", log)
 
 
 def _all_objects(

@@ -24,7 +24,7 @@ from tables.store import content_hash, read_table, table_from_rows, write_table
 from tests.objects.shapes import MUG_SHAPE, mesh_spec, spec_of
 
 # Fewer candidates: the mechanics are the same and a build takes a fifth of the time.
-QUICK = ObjectParams(grasp_pool=GraspPoolParams(n_candidates=4000, n_grasps=24))
+QUICK = ObjectParams(grasp_pool=GraspPoolParams(n_candidates=4000, n_grasps=24, min_grasps=24))
 
 
 def test_inertia_of_box_and_can_is_the_textbooks() -> None:

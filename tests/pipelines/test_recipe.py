@@ -128,8 +128,8 @@ def test_a_bad_recipe_is_one_line_with_key_value_and_bound(tmp_path: Path, conte
             "objects.grasp_pool.approach_m = 0.1, must be at least grasp_admission.pregrasp_m = 0.2",
         ),
         (
-            "[objects.grasp_pool]\nn_grasps = 20\n",
-            "objects.grasp_pool.n_grasps = 20, must be at least scene_sampling.min_initial_grasps = 22",
+            "[scene_sampling]\nmin_initial_grasps = 33\n",
+            "objects.grasp_pool.min_grasps = 32, must be at least scene_sampling.min_initial_grasps = 33",
         ),
         (
             "[scene_sampling]\nmin_target_grasps = 65\n",

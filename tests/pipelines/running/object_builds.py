@@ -9,11 +9,13 @@ from objects.grasp_pool import GraspPoolParams
 from pipelines.recipe import Recipe
 from pipelines.running.data_root import DataRoot
 from pipelines.running.object_tables import make_object_tables
+from pipelines.scenes.sampling import SceneSamplingParams
 from tables.store import Sidecar
 from tests.objects.test_catalogue import BOX, CAN, write
 
 # Fewer candidates: the mechanics are the same and a build takes a fifth of the time.
-RECIPE = Recipe(objects=ObjectParams(grasp_pool=GraspPoolParams(n_candidates=2000, n_grasps=22)))
+N_GRASPS = SceneSamplingParams().min_initial_grasps
+RECIPE = Recipe(objects=ObjectParams(grasp_pool=GraspPoolParams(n_candidates=2000, n_grasps=N_GRASPS, min_grasps=N_GRASPS)))
 BRICK = {**BOX, "id": '"brick"', "size_m": "[0.04, 0.05, 0.09]"}
 TIN = CAN
 THREE = (BOX, BRICK, TIN)

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import trimesh
 
+from pipelines.recipe import Recipe
 from pipelines.running.data_root import DataRoot
+from pipelines.running.object_tables import are_objects_current
 from pipelines.scenes.points import CameraParams
 from tables.schemas import OBJECT_TABLES
-from tests.objects.test_catalogue import BOX
+from tests.objects.test_catalogue import BOX, write
 from tests.pipelines.running.object_builds import BRICK, RECIPE, THREE, TIN, from_nothing, hashes, make, rows_of
 
 
@@ -64,6 +66,21 @@ def test_parameters_and_seed_build_all_and_other_sections_none(root: DataRoot, b
     pool = replace(RECIPE.objects.grasp_pool, friction=0.35)
     make(root, *THREE, recipe=replace(RECIPE, objects=replace(RECIPE.objects, grasp_pool=pool)))
     assert built == ["box", "brick", "tin"] * 2
+
+
+def test_whether_there_is_anything_to_build_is_known_before(root: DataRoot, built: list[str]) -> None:
+    def is_current(*entries: dict[str, str], recipe: Recipe = RECIPE) -> bool:
+        return are_objects_current(root, recipe, write(root.path.parent, *entries))
+
+    assert is_current(*THREE)
+    assert not is_current(*THREE, recipe=replace(RECIPE, seed=43))
+    assert not is_current(BOX, {**BRICK, "mass_kg": "0.31"}, TIN)
+    assert not is_current(BOX, TIN)
+    root.object_table("objects").write_bytes(b"")
+    assert not is_current(*THREE)
+    make(root, *THREE)
+    assert is_current(*THREE)
+    assert built == []
 
 
 def test_a_mesh_file_that_changed_is_noticed(tmp_path: Path, built: list[str]) -> None:
