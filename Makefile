@@ -5,6 +5,7 @@ PY := $(VENV)/bin/python
 INSTALLED := $(VENV)/.installed
 TIER ?= mini
 WORKERS ?= $(shell nproc)
+RELEASE ?= data/release/$(TIER)
 
 export DAGSTER_HOME := $(CURDIR)/.dagster_home
 export PYTHONUNBUFFERED := 1
@@ -12,7 +13,7 @@ export PYTHONUNBUFFERED := 1
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo dataset ui test soak check bench reproduce clean
+.PHONY: demo dataset ui light points plans attempts test soak check bench reproduce clean
 
 demo: $(INSTALLED)  ## the whole benchmark on tier mini, from objects to reports
 	$(PY) -m assets_def.build mini --workers $(WORKERS)
@@ -22,6 +23,12 @@ dataset: $(INSTALLED)  ## a tier's dataset and reports: only what is missing or 
 
 ui: $(INSTALLED)  ## the Dagster UI on this checkout
 	$(VENV)/bin/dagster dev -m assets_def.definitions
+
+light: $(INSTALLED)  ## a copy of a tier's release without its heavy tables, in $(RELEASE)-light
+	$(PY) -m splits.release light $(RELEASE) $(RELEASE)-light
+
+points plans attempts: $(INSTALLED)  ## a heavy table of a light release again, hash-checked (RELEASE=folder, data/release/$(TIER) by default)
+	$(PY) -m splits.rebuild $(RELEASE) $@ --workers $(WORKERS)
 
 test: $(INSTALLED)
 	$(PY) -m pytest -m "not slow"

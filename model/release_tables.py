@@ -15,7 +15,7 @@ from jaxtyping import Bool
 
 from model.errors import InputError, one_line
 from tables.columns import Column
-from tables.schemas import ALL_SCHEMAS
+from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES
 from tables.store import file_sha256, sidecar_path
 
 FURTHEST_M = 1000.0  # no arm reaches it, and float32, which the network computes in, still tells 0.1 mm apart there
@@ -90,6 +90,10 @@ def _table_path(release_dir: Path, table: str) -> Path:
     try:
         if not release_dir.is_dir():
             raise InputError(f"{release_dir}: {'not a folder' if release_dir.exists() else 'missing'}, must be the folder of a release")
+        target = HEAVY_TABLES.get(table)
+        if target is not None and not path.exists() and (release_dir / _MANIFEST).is_file():
+            again = f"`python -m splits.rebuild {release_dir} {target}` makes it again"
+            raise InputError(f"{path}: missing, as from a light release; {again}")
         if not path.is_file():
             raise InputError(f"{path}: {'not a file' if path.exists() else 'missing'}, must be a Parquet table of the release")
     except OSError as error:

@@ -48,14 +48,15 @@ class Task(StrEnum):
 
 
 def load_release(directory: Path, names: Sequence[str] | None = None) -> dict[str, pa.Table]:
-    """Tables of a release folder: those named, or all that a release must hold and the optional ones that are there.
+    """Tables of a release folder: those named, or of those that a release has for reports all that the folder holds.
 
     Raises:
         ReleaseError: a folder that is no release, or without one of the tables.
     """
     release = Release.open(directory)
     if names is None:
-        names = [*REQUIRED_TABLES, *(name for name in _OPTIONAL_TABLES if name in release.manifest.tables)]
+        listed = [*REQUIRED_TABLES, *(name for name in _OPTIONAL_TABLES if name in release.manifest.tables)]
+        names = [name for name in listed if name not in release.left_out]
     return release.tables(*names)
 
 

@@ -1,13 +1,14 @@
 """A release: tables, data card and manifest in one folder, written so that half a release never looks whole, and how it is verified.
 
-python -m splits.release verify DIR
+python -m splits.release verify DIR [--light]
+python -m splits.release light WHOLE LIGHT
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import pyarrow as pa
@@ -32,11 +33,11 @@ from splits.manifest import (
 )
 from splits.pose_errors import find_pose_errors
 from splits.provenance import LIBRARIES, check_provenance
-from splits.release_folder import check_files, check_nothing_else, clear_folder, read_released_table
+from splits.release_folder import check_files, check_nothing_else, clear_folder, left_out, read_released_table
 from splits.release_laws import broken_laws
 from tables.identity import scenes_of_shard, shards_of_tier
-from tables.schemas import ALL_SCHEMAS, SCHEMA_VERSION
-from tables.store import file_sha256, write_table, write_text_atomically
+from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES, SCHEMA_VERSION
+from tables.store import file_sha256, write_bytes_atomically, write_table, write_text_atomically
 from tables.versions import library_versions
 
 REQUIRED_TABLES = (
@@ -122,8 +123,11 @@ def write_release(
     return manifest
 
 
-def verify_release(directory: Path) -> Manifest:
+def verify_release(directory: Path, *, may_be_light: bool = False) -> Manifest:
     """Check every file of a release against its manifest, every value against its schema, and the labels and splits against sense.
+
+    Args:
+        may_be_light: heavy tables may be missing (see `release_folder.left_out`); laws about them are not asked then.
 
     Raises:
         ReleaseError: names the first file or rule that fails, what was found and what it must be.
@@ -133,9 +137,14 @@ def verify_release(directory: Path) -> Manifest:
     if missing:
         raise ReleaseError(f"{MANIFEST}: table {missing[0]!r} is not listed, must be one of {sorted(manifest.tables)}")
     check_nothing_else(directory, manifest)
-    check_files(directory, manifest, hashes=True)
-    tables = {name: read_released_table(directory, manifest, name, verify=True) for name in sorted(manifest.tables)}
-    _check_contents(tables, manifest.tier, manifest.provenance)
+    absent = left_out(directory, manifest)
+    if absent and not may_be_light:
+        file, _ = files_of_table(absent[0])
+        raise ReleaseError(f"{file}: missing; a light release, which leaves out {', '.join(absent)}, is verified with --light")
+    check_files(directory, manifest, hashes=True, without=absent)
+    there = sorted(manifest.tables.keys() - set(absent))
+    tables = {name: read_released_table(directory, manifest, name, verify=True) for name in there}
+    _check_contents(tables, manifest.tier, manifest.provenance, without=absent)
     _check_values(tables, manifest.position_tolerance_m, manifest.rotation_tolerance_rad)
     return manifest
 
@@ -149,8 +158,34 @@ def release_errors(directory: Path) -> list[str]:
     return []
 
 
-def _check_contents(tables: Mapping[str, pa.Table], tier: str, provenance: Mapping[str, str]) -> None:
-    missing = [name for name in REQUIRED_TABLES if name not in tables]
+def make_light(whole: Path, light: Path) -> Manifest:
+    """Copy a release without its heavy tables; the manifest, copied last, still lists them with their hashes.
+
+    Args:
+        whole: a release folder, every file of which must be what its manifest says; it may leave out heavy tables itself.
+        light: another folder; made if missing. An older release in it is replaced.
+
+    Raises:
+        ReleaseError: a damaged release, the same folder twice, or a folder that holds something else.
+    """
+    manifest = read_manifest(whole)
+    check_files(whole, manifest, hashes=True, without=left_out(whole, manifest))
+    inner, outer = sorted((whole.resolve(), light.resolve()), key=lambda path: -len(path.parts))
+    if inner.is_relative_to(outer):
+        raise ReleaseError(f"{light}: must be neither the release itself nor in it nor around it: {whole}")
+    if light.exists() and not light.is_dir():
+        raise ReleaseError(f"{light}: not a folder")
+    light.mkdir(parents=True, exist_ok=True)
+    kept = manifest.tables.keys() - HEAVY_TABLES.keys()
+    clear_folder(light, kept)
+    for file in [CARD, *(file for name in sorted(kept) for file in files_of_table(name))]:
+        write_bytes_atomically(light / file, (whole / file).read_bytes())
+    write_text_atomically(light / MANIFEST, manifest.to_text())
+    return manifest
+
+
+def _check_contents(tables: Mapping[str, pa.Table], tier: str, provenance: Mapping[str, str], *, without: Collection[str] = ()) -> None:
+    missing = [name for name in REQUIRED_TABLES if name not in tables and name not in without]
     unknown = sorted(set(tables) - set(ALL_SCHEMAS))
     if missing or unknown:
         raise ReleaseError(f"tables: missing {missing}, unknown {unknown}, must both be empty")
@@ -186,21 +221,32 @@ def _write(name: str, table: pa.Table, directory: Path, tier: str, provenance: M
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line: 0 where the release is sound, 1 where it is not."""
+    """Command line: 0 where the release is sound or was copied, 1 where it is not sound."""
     parser = argparse.ArgumentParser(prog="python -m splits.release", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     verify = commands.add_parser("verify", help="check a release folder")
     verify.add_argument("directory", type=Path)
+    verify.add_argument("--light", action="store_true", help=f"heavy tables may be missing: {', '.join(HEAVY_TABLES)}")
+    light = commands.add_parser("light", help=f"copy a release without its heavy tables: {', '.join(HEAVY_TABLES)}")
+    light.add_argument("whole", type=Path, help="the release folder")
+    light.add_argument("directory", type=Path, help="the folder of the light one")
     chosen = parser.parse_args(arguments)
     try:
-        manifest = verify_release(chosen.directory)
+        if chosen.command == "light":
+            make_light(chosen.whole, chosen.directory)
+        manifest = verify_release(chosen.directory, may_be_light=chosen.command == "light" or chosen.light)
     except ReleaseError as error:
         print(f"not sound: {error}", file=sys.stderr)
         return 1
-    rows = sum(entry.rows for entry in manifest.tables.values())
-    print(
-        f"sound: {manifest.name} {manifest.tier} {manifest.version}, {len(manifest.tables)} tables, {rows:,} rows, {manifest.release_hash}"
-    )
+    absent = left_out(chosen.directory, manifest)
+    rows = sum(entry.rows for name, entry in manifest.tables.items() if name not in absent)
+    megabytes = sum(path.stat().st_size for path in chosen.directory.iterdir()) / 1e6
+    about = f"{manifest.name} {manifest.tier} {manifest.version}"
+    print(f"sound: {about}, {len(manifest.tables) - len(absent)} tables, {rows:,} rows, {megabytes:.1f} MB, {manifest.release_hash}")
+    if absent:
+        print(f"light: without {', '.join(absent)}")
+    for target in (target for name in absent if (target := HEAVY_TABLES[name]) is not None):
+        print(f"python -m splits.rebuild {chosen.directory} {target}")
     return 0
 
 

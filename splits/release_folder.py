@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from splits.errors import ReleaseError, shown
 from splits.manifest import CARD, MANIFEST, Manifest, files_of_table
 from tables.columns import SchemaError, TableSchema
-from tables.schemas import ALL_SCHEMAS
+from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES
 from tables.store import Sidecar, StoreError, check_table, content_hash, file_sha256, read_table
 
 
@@ -34,9 +34,33 @@ def check_nothing_else(directory: Path, manifest: Manifest) -> None:
         )
 
 
-def check_files(directory: Path, manifest: Manifest, *, hashes: bool) -> None:
-    """Raise ReleaseError where a listed file is missing, is not a file, has another size, or (with `hashes`) another SHA-256."""
+def left_out(directory: Path, manifest: Manifest) -> tuple[str, ...]:
+    """Heavy tables of which the folder holds neither file: what makes a release a light one, empty for a whole one."""
+    heavy = (name for name in sorted(manifest.tables) if name in HEAVY_TABLES)
+    return tuple(name for name in heavy if not any((directory / file).exists() for file in files_of_table(name)))
+
+
+def left_out_error(directory: Path, name: str) -> ReleaseError:
+    """Why a table that a light release leaves out cannot be read, and what to do about it."""
+    target = HEAVY_TABLES[name]
+    remedy = (
+        "it was measured once and cannot be made again: take it from the whole release"
+        if target is None
+        else f"`python -m splits.rebuild {directory} {target}` makes it again"
+    )
+    return ReleaseError(f"table {name!r} is left out of this light release; {remedy}")
+
+
+def check_files(directory: Path, manifest: Manifest, *, hashes: bool, without: Collection[str] = ()) -> None:
+    """Raise ReleaseError where a listed file is missing, is not a file, has another size, or (with `hashes`) another SHA-256.
+
+    Args:
+        without: tables whose files need not be there.
+    """
+    excused = {file for table in without for file in files_of_table(table)}
     for name, entry in sorted(manifest.files.items()):
+        if name in excused:
+            continue
         path = directory / name
         try:
             if not path.exists():

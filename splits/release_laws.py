@@ -38,17 +38,24 @@ def broken_laws(tables: Mapping[str, pa.Table], *, position_tolerance_m: float, 
         position_tolerance_m: position error at which a placement stops being valid.
         rotation_tolerance_rad: rotation error at which a placement stops being valid.
     """
-    parts = {**tables, **{schema.name: _part(tables[joined], schema, where) for joined, schema, where in _PARTS}}
-    allocations = tuple(
-        SceneAllocation(*row) for row in frame_of(tables["scenes"], ["scene_id", "object_id", "category", "n_obstacles"]).iter_rows()
-    )
-    promise = Promise(allocations, N_TARGETS, position_tolerance_m, rotation_tolerance_rad)
+    parts = {**tables, **stage_tables(tables)}
+    promise = Promise(allocations_in(tables["scenes"]), N_TARGETS, position_tolerance_m, rotation_tolerance_rad)
     errors = _half_executed(tables["candidates"])
     for stage in STAGES:
         reads = {schema.name for schema in (*stage.inputs, *stage.outputs)}
         if reads - _LEFT_OUT <= parts.keys():
             errors += [f"{stage.name}: {error}" for error in stage.law(parts, promise)]
     return errors
+
+
+def stage_tables(tables: Mapping[str, pa.Table]) -> dict[str, pa.Table]:
+    """What the stages made and `grasps` and `candidates` were joined from, by name."""
+    return {schema.name: _part(tables[joined], schema, where) for joined, schema, where in _PARTS}
+
+
+def allocations_in(scenes: pa.Table) -> tuple[SceneAllocation, ...]:
+    """What each scene was allocated, taken from its row."""
+    return tuple(SceneAllocation(*row) for row in frame_of(scenes, ["scene_id", "object_id", "category", "n_obstacles"]).iter_rows())
 
 
 def _part(joined: pa.Table, schema: TableSchema, where: str | None) -> pa.Table:

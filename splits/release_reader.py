@@ -22,7 +22,7 @@ from pipelines.frames import frame_of
 from pipelines.values import Candidate, Scene
 from splits.errors import ReleaseError
 from splits.manifest import Manifest, read_manifest
-from splits.release_folder import check_files, read_released_table
+from splits.release_folder import check_files, left_out, left_out_error, read_released_table
 
 
 class Release:
@@ -40,7 +40,8 @@ class Release:
         """Open a release folder.
 
         Always checked are the manifest with its own hash and versions, and that every listed file is there in its size; tables
-        must have their columns and number of rows when they are read. Other files in the folder do not matter.
+        must have their columns and number of rows when they are read. Other files in the folder do not matter. A light release opens
+        too: what it leaves out is in `left_out`, and asking for it says how to make it again.
 
         Args:
             verify: also compare the SHA-256 of every listed file now, and check every value of a table when it is read.
@@ -50,18 +51,25 @@ class Release:
         """
         directory = Path(directory)
         manifest = read_manifest(directory)
-        check_files(directory, manifest, hashes=verify)
+        check_files(directory, manifest, hashes=verify, without=left_out(directory, manifest))
         return cls(directory, manifest, is_verified=verify)
 
     def table(self, name: str) -> pa.Table:
-        """One table; raises ReleaseError where the release has none of that name or the file is not what the manifest says."""
+        """One table; raises ReleaseError where the release has none of that name, leaves it out, or holds it otherwise than listed."""
         if name not in self._tables:
+            if name in self.left_out:
+                raise left_out_error(self.directory, name)
             self._tables[name] = read_released_table(self.directory, self.manifest, name, verify=self._is_verified)
         return self._tables[name]
 
     def tables(self, *names: str) -> dict[str, pa.Table]:
-        """Some tables by name, or all of the release without names; raises as `table` does."""
-        return {name: self.table(name) for name in names or sorted(self.manifest.tables)}
+        """Some tables by name, or without names all that are there; raises as `table` does."""
+        return {name: self.table(name) for name in names or sorted(self.manifest.tables.keys() - set(self.left_out))}
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Heavy tables that the manifest lists and the folder does not hold; empty for a whole release."""
+        return left_out(self.directory, self.manifest)
 
     @cached_property
     def candidates(self) -> pl.DataFrame:

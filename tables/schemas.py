@@ -172,12 +172,15 @@ PREDICTIONS = TableSchema("predictions", "what a trained ranker says of every ca
     real("log_p_plan", "log probability that a plan exists"), real("log_p_exec", "log probability of success given a plan"), real("score", "ranking score: their sum"),
 ))
 
-TIMINGS = TableSchema("timings", "core time of each unit of work; never part of a hashed release", ("stage", "item_id"), (
+TIMINGS = TableSchema("timings", "core time of each unit of work, measured once; never part of a hashed release", ("stage", "item_id"), (
     text("stage", "stage that spent the time"), plain("item_id", "scene, grasp or candidate"), real("core_ms", "CPU time of the worker", "ms"),
 ))
 
 # The tables that describe the objects, in the order that objects.object_model takes them.
 OBJECT_TABLES = ("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool")
+
+# Tables that a light release leaves out, and what `python -m splits.rebuild DIR` is told to make each again; None where nothing can.
+HEAVY_TABLES: dict[str, str | None] = {"plans": "plans", "scene_points": "points", "scene_attempts": "attempts", "timings": None}
 
 LABEL_COLUMNS = tuple(column.name for column in (*_PLANNING, *_EXECUTION))
 
