@@ -36,6 +36,7 @@ from assets_def.report_assets import profile_step, report_steps
 from assets_def.resources import Benchmark
 from assets_def.stages import stage_assets
 from assets_def.steps import Step
+from assets_def.trees_assets import trees_step
 from pipelines.running.shard_runner import is_published
 from pipelines.stages import STAGES
 from tables.errors import PlaceBenchError
@@ -91,7 +92,7 @@ def _steps(tier: str, until: str) -> Iterator[tuple[Step, str, str]]:
         yield profile_step, tier, profile_step.name
         return
     yield from ((ranker_step, str(key), f"ranker {key}") for key in rankers_of_tier(tier))
-    yield from ((step, tier, step.name) for step in (predictions_step, *proof_steps, *report_steps))
+    yield from ((step, tier, step.name) for step in (predictions_step, trees_step, *proof_steps, *report_steps))
 
 
 def _build_shards(tier: str, benchmark: Benchmark) -> None:

@@ -18,10 +18,14 @@ from assets_def.release_assets import release_assets
 from assets_def.report_assets import report_assets
 from assets_def.resources import Benchmark
 from assets_def.stages import stage_assets
+from assets_def.trees_assets import trees_assets
 
 # In process: the parallelism is inside an asset, over scenes; a process a step would cost 20 s a shard.
 definitions = Definitions(
-    assets=[owned(assets) for assets in (object_assets, *stage_assets, *release_assets, *ranker_assets, *proof_assets, *report_assets)],
+    assets=[
+        owned(assets)
+        for assets in (object_assets, *stage_assets, *release_assets, *ranker_assets, *trees_assets, *proof_assets, *report_assets)
+    ],
     jobs=jobs,
     resources={"benchmark": Benchmark()},
     executor=in_process_executor,

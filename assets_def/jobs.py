@@ -16,7 +16,9 @@ from tables.identity import shards_of_tier
 OBJECTS_AND_SHARDS = AssetSelection.groups("objects", *dict.fromkeys(stage.group for stage in STAGES))
 RELEASE = AssetSelection.groups("release")
 RANKERS = AssetSelection.assets("ranker")
-REPORTS = AssetSelection.groups("reports") | AssetSelection.assets("predictions", "decision_times")
+REPORTS = AssetSelection.groups("reports") | AssetSelection.assets(
+    "predictions", "decision_times", "candidate_geometry", "tree_predictions"
+)
 
 _SHARDS_OF = {"mini": shards_of_tier("mini"), "pilot": shards_of_tier("pilot"), "full": shards_of_tier("full")}
 # Any other partition may be chosen; without a choice a run of `mini` is of its only shard.
@@ -46,7 +48,7 @@ jobs = [
     define_asset_job(
         "reports",
         selection=REPORTS,
-        description="Predictions, repeats, audits and every report of a tier. Launch with a partition mini, pilot or full, after its"
+        description="Predictions, trees, repeats, audits and every report of a tier. Launch with a partition mini, pilot or full, after its"
         " release and its rankers; without rankers only what reads predictions fails.",
     ),
 ]

@@ -16,6 +16,7 @@ from assets_def.products import FilesProduct, Record
 from assets_def.proof_assets import VALUE_TABLES
 from assets_def.resources import Benchmark
 from assets_def.steps import Step
+from assets_def.trees_assets import TREE_PREDICTIONS, TREES_SEED
 from reports.ablation import ablation_report
 from reports.audit import audit_report
 from reports.gallery import gallery_report
@@ -25,6 +26,7 @@ from reports.repeatability import repeatability_report
 from reports.report import Report
 from reports.shard_diagnostics import SHARD_TABLES, shard_diagnostics_report
 from reports.success_at_k import success_at_k_report
+from reports.trees_probe import trees_probe_report
 from tables.identity import shards_of_tier
 from tables.schemas import ALL_SCHEMAS, ATTEMPTS, AUDITS, PREDICTIONS, TIMINGS
 from tables.store import read_table, read_tables
@@ -121,6 +123,12 @@ def _shard_diagnostics(benchmark: Benchmark, tier: str) -> Report:
     return shard_diagnostics_report({name: read_tables(ALL_SCHEMAS[name], paths[name]) for name in SHARD_TABLES}, tier=tier)
 
 
+def _trees_probe(benchmark: Benchmark, tier: str) -> Report:
+    predictions = read_table(PREDICTIONS, benchmark.root.tier_table(tier, TREE_PREDICTIONS))
+    tables = load_release(benchmark.root.release(tier))
+    return trees_probe_report(tables, predictions, split="test", seed=TREES_SEED, title=f"Trees on {tier}, train split to test split")
+
+
 PROFILE = ReportKind("profile", "Counts, statuses, coverage and the ladder of policies that learn nothing.", _profile, reads_timings=True)
 REPORTS = (
     ReportKind(
@@ -141,6 +149,12 @@ REPORTS = (
         reads_timings=True,
     ),
     ReportKind("ablation", "The ranker and three ablations on the validation split.", _ablation, ("predictions",)),
+    ReportKind(
+        "trees_probe",
+        "How far trees on derived geometry rank, beside the policies that learn nothing.",
+        _trees_probe,
+        (TREE_PREDICTIONS,),
+    ),
 )
 
 

@@ -168,7 +168,7 @@ AUDITS = TableSchema("audits", "planning labels checked again by an independent 
 ))
 
 PREDICTIONS = TableSchema("predictions", "what a trained ranker says of every candidate", ("variant", "seed", "candidate_id"), (
-    text("variant", "full, direct, no_object_relative or no_target_hypothesis"), integer("seed", "training seed"), _CANDIDATE_ID,
+    text("variant", "full, direct, no_object_relative or no_target_hypothesis; trees or trees_poses of the probe"), integer("seed", "training seed"), _CANDIDATE_ID,
     real("log_p_plan", "log probability that a plan exists"), real("log_p_exec", "log probability of success given a plan"), real("score", "ranking score: their sum"),
 ))
 

@@ -1,0 +1,81 @@
+"""The trees probe of a tier: derived geometry of every candidate and what trees on it say; the work is model's, the report reports'."""
+
+from collections.abc import Iterator
+from functools import cache
+from importlib import metadata
+
+from dagster import AssetCheckResult, AssetExecutionContext, AssetSpec, MaterializeResult, multi_asset
+
+from assets_def.checks import schema_check, schema_check_spec
+from assets_def.inputs import release_hashes, source_version
+from assets_def.partitions import tier_partitions
+from assets_def.products import TableProduct
+from assets_def.resources import Benchmark
+from assets_def.steps import Step
+from model.features import CANDIDATE_GEOMETRY
+from model.geometry import geometry_table
+from model.inputs import contract_hash
+from model.trees import TreeData, read_tree_data
+from reports.trees_probe import tree_predictions
+from tables.schemas import PREDICTIONS
+
+# Minutes at most: any change of geometry or trees makes both tables anew.
+TREES_CODE_VERSION = source_version(*(f"model/{name}.py" for name in ("distances", "features", "geometry", "hand", "inputs", "trees")))
+TREES_SEED = 42
+TREE_PREDICTIONS = "tree_predictions"
+
+
+@multi_asset(
+    name="train_trees",
+    specs=[
+        AssetSpec(
+            CANDIDATE_GEOMETRY.name,
+            deps=["release"],
+            description=f"Derives geometry from the five inputs of every candidate. Rows: {CANDIDATE_GEOMETRY.meaning}.",
+            group_name="ranker",
+            code_version=TREES_CODE_VERSION,
+            kinds={"parquet"},
+        ),
+        AssetSpec(
+            TREE_PREDICTIONS,
+            deps=["release"],
+            description="Scores every candidate with gradient-boosted trees on that geometry, and on raw poses, of the train split alone.",
+            group_name="ranker",
+            code_version=TREES_CODE_VERSION,
+            kinds={"parquet", "scikitlearn"},
+        ),
+    ],
+    check_specs=[schema_check_spec(CANDIDATE_GEOMETRY), schema_check_spec(PREDICTIONS, TREE_PREDICTIONS)],
+    partitions_def=tier_partitions,
+)
+def trees(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
+    tier = context.partition_key
+    release_dir = benchmark.root.release(tier)
+
+    @cache
+    def data() -> TreeData:
+        return read_tree_data(release_dir)
+
+    geometry, scores = _trees_products(benchmark, tier)
+    yield from geometry.publish(lambda: geometry_table(data().inputs, data().geometry))
+    yield from scores.publish(lambda: tree_predictions(release_dir, data(), TREES_SEED, None))
+    yield from _trees_checks(benchmark, tier)
+
+
+def _trees_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct, TableProduct]:
+    made_from = {"code": TREES_CODE_VERSION, "contract": contract_hash(), **release_hashes(benchmark, tier)}
+    trained = {"seed": str(TREES_SEED), "engine.scikit-learn": metadata.version("scikit-learn")}
+    geometry_path, scores_path = (benchmark.root.tier_table(tier, name) for name in (CANDIDATE_GEOMETRY.name, TREE_PREDICTIONS))
+    return (
+        TableProduct(CANDIDATE_GEOMETRY, geometry_path, made_from, tier),
+        TableProduct(PREDICTIONS, scores_path, made_from | trained, tier, TREE_PREDICTIONS),
+    )
+
+
+def _trees_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult]:
+    yield schema_check(CANDIDATE_GEOMETRY, benchmark.root.tier_table(tier, CANDIDATE_GEOMETRY.name))
+    yield schema_check(PREDICTIONS, benchmark.root.tier_table(tier, TREE_PREDICTIONS), TREE_PREDICTIONS)
+
+
+trees_assets = [trees]
+trees_step = Step("candidate geometry and trees", trees, _trees_products, _trees_checks)
