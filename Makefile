@@ -13,7 +13,7 @@ export PYTHONUNBUFFERED := 1
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo dataset ui light points plans attempts test soak check bench reproduce clean
+.PHONY: demo dataset ui light points plans attempts test soak check bench reproduce validity knobs clean
 
 demo: $(INSTALLED)  ## the whole benchmark on tier mini, from objects to reports
 	$(PY) -m assets_def.build mini --workers $(WORKERS)
@@ -49,10 +49,16 @@ bench: $(INSTALLED)  ## what a label costs; writes reports/out/bench.json (about
 reproduce: $(INSTALLED)  ## equal tables for any number of workers, any order, and ids made alone (about five minutes)
 	$(PY) -m pipelines.reproduce
 
+validity: $(INSTALLED)  ## the held object's engine against theory, itself and another engine; writes reports/out/validity.json and .md (TIER=pilot)
+	$(PY) -m assets_def.validity $(if $(filter file,$(origin TIER)),pilot,$(TIER)) --workers $(WORKERS)
+
 $(INSTALLED): pyproject.toml constraints.txt
 	test -x $(PY) || $(PYTHON) -m venv $(VENV)
 	$(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $@
+
+knobs: $(INSTALLED)  ## what each knob of the recipe moves; writes reports/out/knobs.md (about half an hour, resumable)
+	$(PY) -m assets_def.knobs --workers $(WORKERS)
 
 clean:  ## generated data and reports, not the environment
 	rm -rf data reports/out

@@ -42,6 +42,10 @@ class DataRoot:
     def release(self, tier: str) -> Path:
         return self.path / "release" / tier
 
+    def validity(self, tier: str) -> Path:
+        """Folder of the rows that `make validity` keeps, a file a study."""
+        return self.path / "tiers" / tier / "validity"
+
     def checkpoint(self, tier: str, variant: str, seed: int) -> Path:
         return self.path / "checkpoints" / tier / f"{variant}-{seed}"
 

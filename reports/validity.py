@@ -1,0 +1,159 @@
+"""Report on the engine of held objects: every test of its validity beside its bound; measured in pipelines/proofs/validity."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from pipelines.codecs import Row
+from pipelines.proofs.validity.changes import FRICTION, Change
+from pipelines.proofs.validity.criteria import BESIDE, CRITERIA, Criterion
+from pipelines.proofs.validity.flips import flips_of, goes_right_way
+from pipelines.proofs.validity.running import StudyResult
+from reports.metrics import clopper_pearson
+from splits.markdown import count, percent, table
+
+NOT_MEASURED = "not measured"
+N_LISTED = 40  # flips that are named
+
+_DEFINITIONS = (
+    "Executions are chosen by hash, as many of each category, within it as many of every stored status as is its share; a label *flips*"
+    " where success becomes failure or the reverse, against the same run without a change. Intervals are exact binomial, 95 %.",
+    "The *demand ratio* is the largest share of a pad's limit surface (an ellipse in tangential force and torque about the jaw axis) that"
+    " the inertial wrench of the planned transport and descend takes. The surface is that of the hold as it was measured after the lift:"
+    " pressure of an elastic foundation under the object's faces, its lever about the jaw axis, and the friction that a grip takes by"
+    " itself where pads touch opposite ends of an object held askew. No engine is asked. Outcomes and slip are the stored ones.",
+    "*Outcome* of the cuboids is the stored success, so that failures of release and landing count against theory, which knows nothing of"
+    " them; beside it stands the outcome that theory speaks of, held to the release.",
+    "*Lost* is the stored status `dropped_in_transport`. *Faults* are admitted grasps without a lift and plans without an execution in the"
+    " release, and runs of these studies for which the engine warned or gave a state that is not finite. A stage whose engine gives up"
+    " publishes nothing, so the first two can be found in a release that was tampered with only.",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ValidityReport:
+    """The report as text and as numbers; `is_valid` where every number was measured and is within its bounds."""
+
+    markdown: str
+    numbers: Mapping[str, float | None]
+    is_valid: bool
+
+    @property
+    def json(self) -> str:
+        """The numbers by key, null where one was not measured."""
+        return json.dumps(dict(self.numbers), indent=2, sort_keys=True, allow_nan=False) + "\n"
+
+
+def validity_report(numbers: Mapping[str, float | None], results: Sequence[StudyResult], origin: Mapping[str, str]) -> ValidityReport:
+    """Report `validity`.
+
+    Args:
+        numbers: of every criterion and its count, None where it was not measured.
+        results: of the studies, for what went wrong and for the flips.
+        origin: what the numbers were made from, shown as it is; `tier` is in the title.
+    """
+    verdicts = {criterion.key: _verdict(criterion, numbers) for criterion in CRITERIA}
+    n_hold = sum(verdict == "yes" for verdict in verdicts.values())
+    missing = [criterion for criterion in (*CRITERIA, *BESIDE) if numbers[criterion.key] is None]
+    failed = [criterion.key for criterion in CRITERIA if verdicts[criterion.key] == "no"]
+    blocks = [
+        f"# Validity of the held object's engine on tier {origin['tier']}",
+        f"{n_hold} of {len(CRITERIA)} numbers are within their bounds"
+        + (f"; outside: {', '.join(f'`{key}`' for key in failed)}" if failed else "")
+        + (f"; {sum(verdict == NOT_MEASURED for verdict in verdicts.values())} {NOT_MEASURED}." if missing else "."),
+        _table(CRITERIA, numbers, verdicts),
+        "## Beside them",
+        _table(BESIDE, numbers, {}),
+        *(_not_measured(missing, results) if missing or any(result.problem for result in results) else []),
+        *_faults(results),
+        *_friction_flips(results),
+        "## What the words mean",
+        *_DEFINITIONS,
+        "## Made from",
+        table(["what", "which"], [[name, f"`{value}`"] for name, value in origin.items()], align="ll"),
+        table(["study", "rows", "core-s in this run"], [[r.name, count(len(r.rows)), f"{r.core_s:.0f}"] for r in results]),
+    ]
+    return ValidityReport("\n\n".join(blocks) + "\n", numbers, n_hold == len(CRITERIA))
+
+
+def _verdict(criterion: Criterion, numbers: Mapping[str, float | None]) -> str:
+    value = numbers[criterion.key]
+    return NOT_MEASURED if value is None else "yes" if criterion.holds(value) else "no"
+
+
+def _table(criteria: Sequence[Criterion], numbers: Mapping[str, float | None], verdicts: Mapping[str, str]) -> str:
+    rows = []
+    for criterion in criteria:
+        n = int(numbers[criterion.count_key] or 0)
+        row = [criterion.test, f"`{criterion.key}`", _shown(criterion, numbers[criterion.key], n)]
+        rows.append([*row, *([criterion.bound, verdicts[criterion.key]] if verdicts else []), count(n), criterion.meaning])
+    header = ["test", "key", "measured", *(["bound", "passes"] if verdicts else []), "n", "what it means"]
+    return table(header, rows, align="llr" + ("ll" if verdicts else "") + "rl")
+
+
+def _shown(criterion: Criterion, value: float | None, n: int) -> str:
+    if value is None:
+        return NOT_MEASURED
+    if criterion.is_share and n:
+        k = round(value * n)
+        return f"{k}/{n}: {clopper_pearson(k, n)} %"
+    return f"{value:.0f}" if (value == round(value) and abs(value) >= 1.0) or value == 0.0 else f"{value:.3g}"
+
+
+def _not_measured(missing: Sequence[Criterion], results: Sequence[StudyResult]) -> list[str]:
+    lines = [f"- study `{result.name}`: {result.problem}" for result in results if result.problem]
+    names = ", ".join(f"`{criterion.key}`" for criterion in missing)
+    reason = "" if lines else " No study that was run measures them."
+    return ["## Not measured", *([f"{names}.{reason}"] if missing else []), *(["\n".join(lines)] if lines else [])]
+
+
+def _faults(results: Sequence[StudyResult]) -> list[str]:
+    faults = [f"- {result.name}: {text}" for result in results for text in result.faults]
+    return ["## Faults", "\n".join(faults)] if faults else []
+
+
+def _friction_flips(results: Sequence[StudyResult]) -> list[str]:
+    """Every flip under other friction with its margins: near the tolerance a label is a coin's edge."""
+    rows: list[Row] = [row for result in results if result.name == "flips" for row in result.rows if "change" in row]
+    flipped = sorted(flips_of(rows, FRICTION), key=lambda pair: (goes_right_way(pair[1]), pair[1]["candidate_id"], pair[1]["change"]))
+    if not flipped:
+        return []
+    header = [
+        "candidate",
+        "category",
+        "change",
+        "status without",
+        "with",
+        "margin without",
+        "with",
+        "slip without [mm]",
+        "with",
+        "right way",
+    ]
+    listed = [
+        [
+            *(after[name] for name in ("candidate_id", "category", "change")),
+            *(f"`{row['status']}`" for row in (before, after)),
+            *(f"{row['margin']:.3f}" for row in (before, after)),
+            *(f"{row['slip_mm']:.2f}" for row in (before, after)),
+            "yes" if goes_right_way(after) else "**no**",
+        ]
+        for before, after in flipped[:N_LISTED]
+    ]
+    left = f" The first {N_LISTED}:" if len(flipped) > N_LISTED else ""
+    text = f"{count(len(flipped))} flips; the margin is 0 at the tolerance and 1 on the target.{left}"
+    return ["## Flips under other friction", text, table(header, listed, align="lllllrrrrl"), "By change:", _by_change(rows)]
+
+
+def _by_change(rows: Sequence[Row]) -> str:
+    lines = []
+    for change in Change:
+        own = [row for row in rows if row["change"] == change.value]
+        if not own:
+            continue
+        flipped = flips_of(rows, (change,))
+        up = sum(bool(after["is_success"]) for _, after in flipped)
+        lines.append([change.value, count(len(own)), percent(sum(row["is_success"] for row in own) / len(own)), up, len(flipped) - up])
+    return table(["change", "runs", "success", "flips up", "flips down"], lines)
