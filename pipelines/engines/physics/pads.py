@@ -37,7 +37,10 @@ class PadCells:
 
 
 def pad_cells(cells_per_side: int, lever_scale: float = 1.0) -> PadCells:
-    """Cells at the centres of n x n equal rectangles of the face, none for n = 0; `lever_scale` spreads them and stretches their own levers alike."""
+    """Cells at the centres of n x n equal rectangles of the face; `lever_scale` spreads them and stretches their own levers alike.
+
+    None for n = 0: the pad is the rigid block behind them.
+    """
     if cells_per_side == 0:
         return PadCells(np.empty((0, 2)), 0.0, 0.0)
     at = (np.arange(cells_per_side) + 0.5) / cells_per_side - 0.5
