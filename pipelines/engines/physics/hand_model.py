@@ -138,6 +138,8 @@ def _set_pad_yield(model: mujoco.MjModel, params: HandWorldParams) -> None:
     """
     object_body = model.body("object").id
     n_cells = params.cells_per_side**2
+    if n_cells == 0:
+        return
     b = PAD_RATE_PER_S
     k = b / params.pad_relaxation_s
     R = k / (params.pad_stiffness_n_m / n_cells)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pipelines.engines.bounds import BoundsError, bounded, check_bounds
 from pipelines.values import TABLE_X_M, TABLE_Y_M
 
-CELLS_PER_SIDE = (3, 5)
+CELLS_PER_SIDE = (0, 3, 5)  # 0: a rigid block, the pad that other engines have, too
 MAX_STEP_S = 0.0021  # at 2 ms 4.5 % of the labels flip
 
 
@@ -47,7 +47,7 @@ class HandWorldParams:
     pad_stiffness_n_m: float = bounded(1.3e6, 1e4, 1e7)
     # Relaxation time of the pad: it presses evenly one hundredth of a second after a change, as rubber does.
     pad_relaxation_s: float = bounded(0.010, 1e-3, 0.1)
-    cells_per_side: int = bounded(3, 3, 5)  # a pad's face is that many by that many cells that yield on their own
+    cells_per_side: int = bounded(3, 0, 5)  # a pad's face is that many by that many cells that yield on their own
     pad_lever_scale: float = bounded(1.0, 0.85, 1.15)  # of the lever that even pressure gives, for the repeatability study
     pad_protrusion_m: float = bounded(
         0.00035, 1e-5, 0.002

@@ -36,7 +36,12 @@ class PadCells:
 
 
 def pad_cells(cells_per_side: int, lever_scale: float = 1.0) -> PadCells:
-    """Cells at the centres of n x n equal rectangles of the face; `lever_scale` spreads them and stretches their own levers alike."""
+    """Cells at the centres of n x n equal rectangles of the face; `lever_scale` spreads them and stretches their own levers alike.
+
+    None for n = 0: the pad is the rigid block behind them.
+    """
+    if cells_per_side == 0:
+        return PadCells(np.empty((0, 2)), 0.0, 0.0)
     at = (np.arange(cells_per_side) + 0.5) / cells_per_side - 0.5
     width_m, height_m = PAD_SIZE_M
     points_m = np.stack(np.meshgrid(at * width_m, at * height_m, indexing="ij"), axis=-1).reshape(-1, 2)
