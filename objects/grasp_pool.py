@@ -25,7 +25,7 @@ from tables.identity import rng_for
 from tables.vocabulary import Category
 
 GRAVITY_M_S2 = 9.81
-# Friction of the objects in the trials behind the torque limits; the torque that pads hold grows with friction.
+# Friction of the objects that torque limits are stated for; the torque that pads hold grows with friction.
 TRIED_FRICTION = 0.8
 _N_PROBES = 300  # on a cracker box one every 18 mm: a quick test only, the exact one follows
 
@@ -60,12 +60,11 @@ class GraspPoolParams:
     # How far along the approach the contacts lie from the middle of the pads (tips are 9.5 mm beyond it). See pipelines/recipe.toml.
     depths_m: tuple[float, ...] = (-0.007, -0.0035, 0.0, 0.0035, 0.007)
     n_approach_turns: int = 24
-    # Torque of the weight about the jaw line when the object is lifted off the table. The hand grips harder the heavier the object
-    # (15 N and 50 N a kilogram); in pick-lift trials the pads turn at 5.5 mm times that force on boxes and 6 to 8 mm on handles: 6 mm
-    # would be 0.09 N m and 0.30 N m a kilogram. On a can they hold along a line and turn at 5 to 5.5 mm: 4.5. See pipelines/recipe.toml.
-    max_torque_n_m: float = 0.25
-    max_torque_n_m_per_kg: float = 0.30
-    line_contact_share: float = 0.75
+    # Torque of the weight about the jaw line when the object is lifted off the table, for objects of TRIED_FRICTION: pads that press 50 N
+    # evenly turn at 2 x 0.8 x 0.8 x 50 N x 6.9 mm = 0.44 N m, and where they touch a can along a line at 0.7 of it (4.8 mm of lever).
+    # See pipelines/recipe.toml.
+    max_torque_n_m: float = 0.40
+    line_contact_share: float = 0.70
     # Pose distance: 20 mm count as much as 30 degrees; a gripper turned half round about its approach is the same grasp here.
     length_scale_m: float = 0.02
     angle_scale_rad: float = math.pi / 6
@@ -96,7 +95,6 @@ class GraspPoolParams:
             ("table_clearance_m", 0.0, 0.02),
             ("n_approach_turns", 4, 360),
             ("max_torque_n_m", 0.01, 10.0),
-            ("max_torque_n_m_per_kg", 0.0, 10.0),
             ("line_contact_share", 0.1, 1.0),
             ("length_scale_m", 0.001, 1.0),
             ("angle_scale_rad", 0.01, math.pi),
@@ -222,7 +220,7 @@ def _serves(
     clear = clears_table(T_plane_grasp, pairs.width_m, params.table_clearance_m, params.approach_m)
     weight_n = spec.mass_kg * GRAVITY_M_S2 * rest.T_plane_object[2, :3]
     torque_n_m = np.abs(np.einsum("nj,nj->n", np.cross(com_m - pairs.a_m, weight_n), pairs.axis))
-    most_n_m = (params.max_torque_n_m + params.max_torque_n_m_per_kg * spec.mass_kg) * spec.friction / TRIED_FRICTION
+    most_n_m = params.max_torque_n_m * spec.friction / TRIED_FRICTION
     load = torque_n_m / (most_n_m * (params.line_contact_share if spec.category is Category.CAN else 1.0))
     return np.where(clear & (load <= 1.0), reach_chance(T_plane_grasp) * (1.0 - 0.3 * load), 0.0)
 

@@ -147,7 +147,7 @@ def test_each_grasp_lifts_the_object_off_some_resting_pose_without_turning_it(
         clear = clears_table(T, widths(object_model), PARAMS.table_clearance_m, PARAMS.approach_m)
         least = np.minimum(least, np.where(clear, about_jaw, np.inf))
     # The pads' depth moves the TCP off the jaw line by up to 7 mm.
-    limit = (PARAMS.max_torque_n_m + PARAMS.max_torque_n_m_per_kg * object_model.mass_kg) * object_model.friction / TRIED_FRICTION
+    limit = PARAMS.max_torque_n_m * object_model.friction / TRIED_FRICTION
     assert least.max() <= limit + 0.007 * object_model.mass_kg * GRAVITY_M_S2
 
 

@@ -16,8 +16,8 @@ class HandWorldParams:
     """Physics of what the hand holds: no knob of task difficulty. `perturbed` makes the variants of the repeatability study.
 
     Friction of a pair of surfaces is the product of a number for the object (objects/catalogue.toml) and one for the other surface, the
-    same for both directions of a surface (isotropic Coulomb cone, elliptic). The numbers are assumptions of the benchmark, the same for
-    every policy: the catalogue says so for each material.
+    same for both directions of a surface (isotropic Coulomb cone, elliptic). objects/catalogue.toml has the sources and what was chosen
+    within their bounds; it is the same for every policy.
     """
 
     # Commands and checks run on the clock of the rest of the pipeline; contacts are solved `steps_per_tick` times in between (1.04 ms).
