@@ -20,6 +20,7 @@ import polars as pl
 from rich.console import Console
 
 from assets_def.resources import REPOSITORY
+from objects.catalogue import catalogue_order
 from pipelines.recipe import Recipe, load_recipe
 from pipelines.running.data_root import DataRoot
 from pipelines.running.join import join_candidates
@@ -27,7 +28,6 @@ from pipelines.running.object_tables import make_object_tables
 from pipelines.running.shard_runner import load_shard_inputs, run_stage
 from pipelines.scenes.allocation import family_allocation
 from pipelines.stages import STAGES
-from objects.catalogue import catalogue_order
 from reports.load import Task, candidate_frame, group_frame
 from reports.metrics import coverage
 from reports.policies import FULL_PLANNER, IK_AND_GRIPPER, IK_ONLY, RANDOM
@@ -57,7 +57,7 @@ KNOBS = (
     Knob("recipe", "–", "the recipe", {}),
     Knob("same-rest", "`share_same_rest`", "0.1 → 0.5", {"scene_sampling.share_same_rest": 0.5}),
     Knob("beside", "`share_beside_obstacle`", "0.9 → 0.3", {"scene_sampling.share_beside_obstacle": 0.3}),
-    Knob("initial-grasps", "`min_initial_grasps`", "28 → 16", {"scene_sampling.min_initial_grasps": 16}),
+    Knob("initial-grasps", "`min_initial_grasps`", "30 → 16", {"scene_sampling.min_initial_grasps": 16}),
     Knob("lines", "`preplace_m`, `retreat_m`", "0.15 → 0.10 m", {"planning.preplace_m": 0.10, "planning.retreat_m": 0.10}),
     Knob("torque", "pool `max_torque_n_m`", "0.40 → 0.20 N m", {"objects.grasp_pool.max_torque_n_m": 0.20}),
     Knob(

@@ -23,6 +23,7 @@ from objects.gripper import FINGER_BOXES
 
 _PAD = FINGER_BOXES[0]
 PAD_SIZE_M = (_PAD[1][0], _PAD[1][2])  # across the finger (x of the hand) and along it (z)
+PAD_CENTRE_M = (_PAD[0][0], _PAD[0][2])  # in the finger's frame
 PAD_FACE_M = _PAD[0][1] - _PAD[1][1] / 2  # y of the face in the finger's frame, nearly 0
 
 

@@ -15,7 +15,8 @@ import pybullet
 from jaxtyping import Float
 
 from objects.object_model import ObjectModel
-from pipelines.engines.physics.hand_model import Carrier, build_model, fixed_bodies
+from pipelines.engines.physics.hand_bodies import fixed_bodies
+from pipelines.engines.physics.hand_model import Carrier, build_model
 from pipelines.engines.physics.hand_motion import cross
 from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.proofs.validity.second_engine import bullet_bodies

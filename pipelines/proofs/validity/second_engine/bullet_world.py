@@ -18,7 +18,8 @@ from objects.gripper import MAX_JAW_M
 from objects.object_model import ObjectModel
 from pipelines.engines.physics.errors import PhysicsError
 from pipelines.engines.physics.finger_drives import FingerDrives
-from pipelines.engines.physics.hand_model import FINGERS, Carrier, fixed_bodies
+from pipelines.engines.physics.hand_bodies import FINGERS, fixed_bodies
+from pipelines.engines.physics.hand_model import Carrier
 from pipelines.engines.physics.hand_motion import HandMotion, cross, inertia_load
 from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.engines.physics.hand_world import GRAVITY_M_S2, LOST_TICKS
