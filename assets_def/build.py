@@ -165,7 +165,9 @@ def _reason(result: ExecuteInProcessResult) -> str:
 
 
 def _first_line(text: str) -> str:
-    return text.strip().partition("\n")[0]
+    """The first line, and the next one where the first ends in a colon: it announces reasons, and the first of them is wanted."""
+    first, _, rest = text.strip().partition("\n")
+    return f"{first} {rest.partition(chr(10))[0].strip()}" if first.endswith(":") and rest else first
 
 
 class _Parser(argparse.ArgumentParser):

@@ -169,6 +169,11 @@ def _failing() -> None:
         raise StoreError("x.parquet: not published\nwith a second line") from below
 
 
+@asset
+def _announcing() -> None:
+    raise StoreError("1 of 19 scenes failed, must be 0:\nfull-0015 (can_06): no valid scene\nfull-0016: another")
+
+
 @asset(check_specs=[AssetCheckSpec("consistent", asset="_contradicting", blocking=True)])
 def _contradicting() -> Iterator[MaterializeResult[None] | AssetCheckResult]:
     yield MaterializeResult()
@@ -182,6 +187,7 @@ def _result(one: AssetsDefinition) -> ExecuteInProcessResult:
 
 def test_the_reason_of_a_failed_run_is_what_the_step_raised_or_what_its_gate_found_first() -> None:
     assert command._reason(_result(_failing)).endswith(".StoreError: x.parquet: not published")
+    assert command._reason(_result(_announcing)).endswith("failed, must be 0: full-0015 (can_06): no valid scene")
     assert command._reason(_result(_contradicting)) == "check _contradicting.consistent: mini-0000: 7 targets, must be 8"
 
 
