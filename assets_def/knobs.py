@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import operator
 import os
 import shutil
 import sys
@@ -41,6 +42,7 @@ CONSOLE = Console()
 # 38 scenes: every object at least once.
 SHARDS = ("full-000", "full-001")
 POLICIES = (RANDOM, IK_ONLY, IK_AND_GRIPPER, FULL_PLANNER)
+HEADER = ("knob", "recipe → changed", "planned", "fail in execution", "coverage", *(policy.label for policy in POLICIES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,10 +89,17 @@ def changed(recipe: Recipe, values: Mapping[str, Any]) -> Recipe:
 
     Raises:
         RecipeError, BoundsError: a value that the recipe does not allow.
+        AttributeError: a key that it does not have.
     """
     for key, value in values.items():
+        at(recipe, key)
         recipe = _replaced(recipe, key.split("."), value)
     return recipe
+
+
+def at(recipe: Recipe, key: str) -> Any:
+    """The value at such a key."""
+    return operator.attrgetter(key)(recipe)
 
 
 def _replaced(section: Any, path: Sequence[str], value: Any) -> Any:
@@ -102,9 +111,9 @@ def build(knob: Knob, folder: Path, n_workers: int) -> DataRoot:
     """All stages of the shards under a variant of the recipe; what is there already is kept."""
     recipe, root = changed(load_recipe("full"), knob.values), DataRoot(folder / knob.name)
     baseline = folder / KNOBS[0].name
-    if not root.path.exists() and baseline.exists():
-        # Hard links: tables are replaced by renaming and never written into, so the baseline's stay what they are.
-        shutil.copytree(baseline, root.path, copy_function=os.link, ignore=shutil.ignore_patterns(".lock", ".unfinished"))
+    if not root.path.exists():
+        # What is published already for the recipe itself: by this command, else by `make dataset`.
+        _link(baseline if baseline.exists() else REPOSITORY / "data", root.path)
     make_object_tables(root, recipe, n_workers, lambda _: None)
     for shard in SHARDS:
         inputs = load_shard_inputs(root, shard, recipe)
@@ -113,14 +122,21 @@ def build(knob: Knob, folder: Path, n_workers: int) -> DataRoot:
     return root
 
 
-def row(knob: Knob, root: DataRoot, seed: int) -> list[str]:
-    """The variant's row: planned, failures among planned, coverage and the ladder of S1, joint / fixed."""
+def _link(source: Path, target: Path) -> None:
+    """Take over tables: hard links, since tables are replaced by renaming and never written into."""
+    for part in (Path("objects"), *(Path("shards") / shard for shard in SHARDS)):
+        if (source / part).exists():
+            shutil.copytree(source / part, target / part, copy_function=os.link, ignore=shutil.ignore_patterns(".lock", ".unfinished"))
+
+
+def row(knob: Knob, root: DataRoot, seed: int, shards: Sequence[str] = SHARDS) -> list[str]:
+    """The cells of `HEADER` of a variant; pairs are joint / fixed target."""
     tables = {
-        name: read_tables(ALL_SCHEMAS[name], [root.shard_table(shard, name) for shard in SHARDS])
+        name: read_tables(ALL_SCHEMAS[name], [root.shard_table(shard, name) for shard in shards])
         for name in ("scenes", "targets", "candidate_pairs", "planning_labels", "execution_labels", "policy_features")
     }
     tables["candidates"] = join_candidates(tables["candidate_pairs"], tables["planning_labels"], tables["execution_labels"])
-    universe = [(a.scene_id, a.category, a.n_obstacles) for a in family_allocation("full", catalogue_order())]
+    universe = [(a.scene_id, a.category, a.n_obstacles) for a in family_allocation(shards[0].partition("-")[0], catalogue_order())]
     scene_ids = tables["scenes"]["scene_id"].to_pylist()
     tables["splits"] = table_from_rows(SPLITS, split_rows(scene_ids, universe, SplitParams(), seed))
     frame, untimed = candidate_frame(tables, seed), timing_frame({})
@@ -149,10 +165,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         root = build(knob, chosen.folder, chosen.workers)
         rows.append(row(knob, root, seed))
         CONSOLE.print(" | ".join(rows[-1]), markup=False)
-    header = ["knob", "recipe → changed", "planned", "fail in execution", "coverage joint / fixed"]
-    text = table([*header, "random", "IK only", "IK + gripper", "full planner"], rows)
+    text = table(HEADER, rows)
     path = REPOSITORY / "reports" / "out" / "knobs.md"
-    write_text_atomically(path, f"# What each knob moves, {' and '.join(SHARDS)}\n\n{text}\n")
+    write_text_atomically(
+        path, f"# What each knob moves, {' and '.join(SHARDS)}: shares, and S1 on covered groups, joint / fixed target\n\n{text}\n"
+    )
     CONSOLE.print(f"written to {path}")
     return 0
 
