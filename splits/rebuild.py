@@ -1,9 +1,9 @@
 """Makes a heavy table of a light release again, from what the release holds and the code that made it.
 
-python -m splits.rebuild DIR points|plans|attempts [--workers N]
+python -m splits.rebuild DIR points|plans|rejections [--workers N]
 
-Points are rendered from the scenes; a plan is searched again for every candidate that has one; attempts are what scene sampling
-rejected. Work goes shard by shard through the same stages that made the release, into a folder beside it, so that a killed rebuild goes
+Points are rendered from the scenes; a plan is searched again for every candidate that has one; rejections are the draws
+that scene sampling did not keep. Work goes shard by shard through the same stages that made the release, into a folder beside it, so that a killed rebuild goes
 on where it was. The release gets the table only if all its values have the hash that the manifest has listed since it was written.
 """
 
@@ -113,7 +113,8 @@ def _make_shards(release: Release, stage: Stage, recipe: Recipe, root: DataRoot,
         n_made += not report.is_reused
         spent_s = time.perf_counter() - start
         left_s = spent_s / max(n_made, 1) * (len(shards) - k)
-        log(f"{shard}: {'kept' if report.is_reused else 'made'}, {k} of {len(shards)} shards in {spent_s:.0f} s, about {left_s:.0f} s left")
+        done = "kept" if report.is_reused else f"made in {report.core_s:.1f} core-s"
+        log(f"{shard}: {done}, {k} of {len(shards)} shards in {spent_s:.0f} s, about {left_s:.0f} s left")
     return shards
 
 
