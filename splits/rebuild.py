@@ -2,9 +2,9 @@
 
 python -m splits.rebuild DIR points|plans|rejections [--workers N]
 
-Points are rendered from the scenes; a plan is searched again for every candidate that has one; rejections are the draws
-that scene sampling did not keep. Work goes shard by shard through the same stages that made the release, into a folder beside it, so that a killed rebuild goes
-on where it was. The release gets the table only if all its values have the hash that the manifest has listed since it was written.
+Points are rendered from the scenes; a plan is searched again for every candidate that has one; rejections are the draws that scene
+sampling did not keep. Work goes shard by shard through the same stages that made the release, into a folder beside it, so that a killed
+rebuild goes on where it was. The release gets the table only if all its values have the hash that its manifest lists.
 """
 
 from __future__ import annotations
