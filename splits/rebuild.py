@@ -37,6 +37,7 @@ from tables.identity import family_of_tier, scenes_of_shard, shard_of_scene
 from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES, OBJECT_TABLES
 from tables.sidecar import Sidecar, find_published
 from tables.store import content_hash, read_tables, write_table
+from tables.versions import library_versions
 
 _STAGE_OF = {"plans": STAGE["planning_labels"], "scene_points": STAGE["scene_points"], "scene_attempts": STAGE["scenes"]}
 TARGETS = {target: table for table, target in HEAVY_TABLES.items() if target is not None}
@@ -157,8 +158,15 @@ def _check_outcome(release: Release, name: str, made: Mapping[str, pa.Table]) ->
     if found != entry.content_hash:
         raise ReleaseError(
             f"{name} made again: content hash {found[:12]} of {made[name].num_rows} rows, manifest says {entry.content_hash[:12]}"
-            f" of {entry.rows}; nothing was put into the release"
+            f" of {entry.rows}{_other_engines(release.manifest, _STAGE_OF[name])}; nothing was put into the release"
         )
+
+
+def _other_engines(manifest: Manifest, stage: Stage) -> str:
+    """Engines of another version than those that made the release: the first thing to suspect."""
+    installed = library_versions(stage.engines)
+    other = [f"{name} {manifest.libraries.get(name)}, here {own}" for name, own in installed.items() if manifest.libraries.get(name) != own]
+    return f" (made with {'; '.join(other)})" if other else ""
 
 
 def _first_difference(made: pa.Table, expected: pa.Table) -> str:
