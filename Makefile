@@ -13,7 +13,7 @@ export PYTHONUNBUFFERED := 1
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo dataset ui light points plans attempts test soak check bench reproduce validity knobs clean
+.PHONY: demo dataset ui light points plans rejections test soak check bench reproduce validity knobs clean
 
 demo: $(INSTALLED)  ## the whole benchmark on tier mini, from objects to reports
 	$(PY) -m assets_def.build mini --workers $(WORKERS)
@@ -27,8 +27,14 @@ ui: $(INSTALLED)  ## the Dagster UI on this checkout
 light: $(INSTALLED)  ## a copy of a tier's release without its heavy tables, in $(RELEASE)-light
 	$(PY) -m splits.release light $(RELEASE) $(RELEASE)-light
 
-points plans attempts: $(INSTALLED)  ## a heavy table of a light release again, hash-checked (RELEASE=folder, data/release/$(TIER) by default)
-	$(PY) -m splits.rebuild $(RELEASE) $@ --workers $(WORKERS)
+points: $(INSTALLED)  ## heavy tables of a light release again, hash-checked (RELEASE=folder, data/release/$(TIER) by default)
+	$(PY) -m splits.rebuild $(RELEASE) points --workers $(WORKERS)
+
+plans: $(INSTALLED)
+	$(PY) -m splits.rebuild $(RELEASE) plans --workers $(WORKERS)
+
+rejections: $(INSTALLED)
+	$(PY) -m splits.rebuild $(RELEASE) rejections --workers $(WORKERS)
 
 test: $(INSTALLED)
 	$(PY) -m pytest -m "not slow"

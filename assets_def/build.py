@@ -29,9 +29,9 @@ from assets_def.definitions import definitions
 from assets_def.object_assets import are_objects_done, object_assets
 from assets_def.partitions import rankers_of_tier
 from assets_def.progress import ShardProgress
-from assets_def.proof_assets import proof_steps
+from assets_def.proof_assets import attempts_step, audits_step
 from assets_def.ranker_assets import predictions_step, ranker_step
-from assets_def.release_assets import release_steps
+from assets_def.release_assets import release_step, release_steps
 from assets_def.report_assets import profile_step, report_steps
 from assets_def.resources import Benchmark
 from assets_def.stages import stage_assets
@@ -91,8 +91,11 @@ def _steps(tier: str, until: str) -> Iterator[tuple[Step, str, str]]:
     if until == "release":
         yield profile_step, tier, profile_step.name
         return
+    # Attempts are made from the release and belong into it; rankers are trained on the one that has them.
+    yield attempts_step, tier, attempts_step.name
+    yield release_step, tier, "release with attempts"
     yield from ((ranker_step, str(key), f"ranker {key}") for key in rankers_of_tier(tier))
-    yield from ((step, tier, step.name) for step in (predictions_step, trees_step, *proof_steps, *report_steps))
+    yield from ((step, tier, step.name) for step in (predictions_step, trees_step, audits_step, *report_steps))
 
 
 def _build_shards(tier: str, benchmark: Benchmark) -> None:

@@ -12,7 +12,7 @@ from pipelines.stages import STAGES
 from splits.errors import ReleaseError
 from splits.manifest import read_manifest
 from tables.identity import shards_of_tier
-from tables.store import read_sidecar
+from tables.store import StoreError, read_sidecar
 
 
 def hash_over_shards(benchmark: Benchmark, tier: str, table: str) -> str:
@@ -34,6 +34,20 @@ def tier_hashes(benchmark: Benchmark, tier: str, tables: Iterable[str]) -> dict[
 def object_hashes(benchmark: Benchmark, tables: Iterable[str]) -> dict[str, str]:
     """Content hashes of some object tables, for a record; raises StoreError where one is not published."""
     return {f"object.{name}": read_sidecar(benchmark.root.object_table(name)).content_hash for name in tables}
+
+
+def attempts_hash(benchmark: Benchmark, tier: str) -> dict[str, str]:
+    """Content hash of the attempts of a tier, for the record of its release; empty where there are none of today's candidates and recipe.
+
+    They are made from a release, and may be part of it from then on. What they were made from is told by the candidates, because the
+    release hash is known only once the release is written.
+    """
+    try:
+        attempts = read_sidecar(benchmark.root.tier_table(tier, "attempts"))
+    except StoreError:
+        return {}
+    today = {**tier_hashes(benchmark, tier, ["candidates"]), "recipe": benchmark.recipe_of_tier(tier).hash_of()}
+    return {"table.attempts": attempts.content_hash} if today.items() <= attempts.made_from.items() else {}
 
 
 def timings_hash(benchmark: Benchmark, tier: str) -> str:

@@ -38,7 +38,8 @@ jobs = [
     define_asset_job(
         "release",
         selection=RELEASE,
-        description="Joins, splits and publishes a tier. Launch with a partition mini, pilot or full, after its shards.",
+        description="Joins, splits and publishes a tier. Launch with a partition mini, pilot or full, after its shards; again after"
+        " `reports`, the release holds the repeats of its labels too.",
     ),
     define_asset_job(
         "rankers",

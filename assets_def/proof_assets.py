@@ -7,7 +7,7 @@ import pyarrow as pa
 from dagster import AssetCheckResult, AssetExecutionContext, AssetSpec, MaterializeResult, multi_asset
 
 from assets_def.checks import schema_check, schema_check_spec
-from assets_def.inputs import release_hashes, stage_versions
+from assets_def.inputs import release_hashes, stage_versions, tier_hashes
 from assets_def.partitions import tier_partitions
 from assets_def.products import TableProduct
 from assets_def.resources import Benchmark
@@ -77,7 +77,8 @@ def _repeats(release: Release, recipe: Recipe, chosen: Sequence[tuple[str, Pertu
 
 def _attempts_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct]:
     chosen = {"perturbed": N_PERTURBED[tier], "tasks_repeated": N_TASKS_REPEATED, "repeats": N_REPEATS}
-    return (TableProduct(ATTEMPTS, benchmark.root.tier_table(tier, "attempts"), _made_from(benchmark, tier, chosen), tier),)
+    made_from = {**_made_from(benchmark, tier, chosen), **tier_hashes(benchmark, tier, ["candidates"])}
+    return (TableProduct(ATTEMPTS, benchmark.root.tier_table(tier, "attempts"), made_from, tier),)
 
 
 def _attempts_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult]:
@@ -135,7 +136,6 @@ def _made_from(benchmark: Benchmark, tier: str, parameters: Mapping[str, float])
 
 
 proof_assets = [attempts, audits]
-proof_steps = (
-    Step("attempts", attempts, _attempts_products, _attempts_checks),
-    Step("audits", audits, _audits_products, _audits_checks),
-)
+attempts_step = Step("attempts", attempts, _attempts_products, _attempts_checks)
+audits_step = Step("audits", audits, _audits_products, _audits_checks)
+proof_steps = (attempts_step, audits_step)

@@ -21,7 +21,7 @@ from dagster import (
 )
 
 from assets_def.checks import consistency_check, schema_check, schema_check_spec
-from assets_def.inputs import object_hashes, shard_hashes, tier_hashes, timings_hash
+from assets_def.inputs import attempts_hash, object_hashes, shard_hashes, tier_hashes, timings_hash
 from assets_def.partitions import shards_to_tiers, tier_partitions
 from assets_def.products import FilesProduct, TableProduct
 from assets_def.resources import Benchmark
@@ -43,7 +43,7 @@ from tables.schemas import ALL_SCHEMAS, CANDIDATES, GRASPS, OBJECT_TABLES, SPLIT
 from tables.store import read_table, read_tables, table_from_rows
 
 RELEASE_CODE_VERSION = "1"  # of the joined tables and the splits
-FOLDER_CODE_VERSION = "2"  # of what stands around the tables in a release folder
+FOLDER_CODE_VERSION = "3"  # of what stands around the tables in a release folder
 
 # Released as they are; `candidates` and `grasps` replace the four tables they are joined from.
 _SHARD_TABLES = ("scenes", "scene_attempts", "obstacles", "targets", "scene_points", "plans", "policy_features")
@@ -169,7 +169,8 @@ def _splits_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult
                 *OBJECT_TABLES,
                 *(AssetDep(name, partition_mapping=shards_to_tiers) for name in _SHARD_TABLES),
             ],
-            description="Writes the release folder of a tier: Parquet tables, data card, and last the manifest with every checksum.",
+            description="Writes the release folder of a tier: Parquet tables, data card, and last the manifest with every checksum."
+            " Attempts, which are made from it, are in it from its next materialization on.",
             group_name="release",
             code_version=FOLDER_CODE_VERSION,
             kinds={"parquet"},
@@ -203,6 +204,8 @@ def _write_release(benchmark: Benchmark, tier: str, directory: Path) -> list[Pat
         **_of_tier(benchmark, tier, "candidates", "grasps", "splits"),
         "timings": read_timings(benchmark.root, shards_of_tier(tier), STAGES),
     }
+    if attempts_hash(benchmark, tier):
+        tables |= _of_tier(benchmark, tier, "attempts")
     recipe = benchmark.recipe_of_tier(tier)
     provenance = {**_provenance(recipe), "git_commit": git_commit()}
     write_release(tables, directory, tier, DATA_VERSION, provenance, **_tolerances(recipe))
@@ -212,11 +215,12 @@ def _write_release(benchmark: Benchmark, tier: str, directory: Path) -> list[Pat
 def _release_products(benchmark: Benchmark, tier: str) -> tuple[FilesProduct]:
     recipe = benchmark.recipe_of_tier(tier)
     made_from = {
-        "code": RELEASE_CODE_VERSION,
+        "code": FOLDER_CODE_VERSION,
         "data_version": DATA_VERSION,
         **object_hashes(benchmark, OBJECT_TABLES),
         **shard_hashes(benchmark, tier, _SHARD_TABLES),
         **tier_hashes(benchmark, tier, ("candidates", "grasps", "splits")),
+        **attempts_hash(benchmark, tier),
         "timings": timings_hash(benchmark, tier),
         **{name: str(value) for name, value in _tolerances(recipe).items()},
         **_provenance(recipe),
@@ -229,10 +233,11 @@ def _release_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResul
 
 
 release_assets = [joined_tables, splits_table, release]
+release_step = Step("release", release, _release_products, _release_checks)
 release_steps = (
     Step("candidates and grasps", joined_tables, _joined_products, _joined_checks),
     Step("splits", splits_table, _splits_products, _splits_checks),
-    Step("release", release, _release_products, _release_checks),
+    release_step,
 )
 
 

@@ -11,12 +11,12 @@ import pyarrow as pa
 
 from pipelines.frames import frame_of
 from reports.report import ReportError
-from splits.manifest import MEASUREMENTS
+from splits.manifest import ABOUT_THE_RELEASE, MEASUREMENTS
 from splits.release import REQUIRED_TABLES
 from splits.release_reader import Release
 from tables.identity import order_key
 
-_OPTIONAL_TABLES = (*MEASUREMENTS, "attempts")
+_OPTIONAL_TABLES = (*MEASUREMENTS, *ABOUT_THE_RELEASE)
 
 _CANDIDATE_COLUMNS = (
     "candidate_id",

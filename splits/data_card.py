@@ -8,9 +8,10 @@ import polars as pl
 import pyarrow as pa
 
 from pipelines.frames import frame_of
+from splits.confidence import confidence_section
 from splits.markdown import count, percent, share, table
 from tables.columns import TableSchema
-from tables.schemas import ALL_SCHEMAS
+from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES
 from tables.vocabulary import Category, ExecStatus, PlanStatus, Split
 
 PAPER_CITATION = """@misc{liu_execution_aware_ranking,
@@ -52,8 +53,8 @@ _LIMITS = """\
   executions with the lever 15 % longer and shorter. The links of the arm do not collide there; the planner keeps them clear, and the
   path audit checks it in a second engine.
 - **Simulation only.** Rigid bodies, Coulomb friction, convex parts instead of exact meshes. No label was confirmed on a robot.
-- **Labels near the tolerance are chaotic.** Contact dynamics amplify differences that mean nothing physically; `tolerance_margin` says
-  how near a label is to flipping, and the table `attempts`, where present, says how often labels did flip.
+- **Labels near the tolerance are chaotic.** Contact dynamics amplify differences that mean nothing physically; the section on how sure
+  the labels are says by how much.
 - **Known objects.** The splits hold out scenes, not objects: an object may occur in every split. Results say nothing about unseen
   objects.
 - **Supervision only.** Whatever is known only after planning or physics must not be a model input: the columns of `candidates` from
@@ -70,19 +71,32 @@ group is *covered* when it holds a success. Joint groups are scenes, fixed-targe
 lifted grasp counts as uncovered."""
 
 _ABOUT_TABLES = """Poses are seven columns: metres and a unit quaternion xyzw; the prefix names the pose. Everything is in the robot base
-frame (z up, table top at z = 0) unless its meaning says otherwise. `timings` were measured once and are no part of the release hash."""
+frame (z up, table top at z = 0) unless its meaning says otherwise. `timings` were measured once, `attempts` were made from the release:
+both are no part of the release hash."""
+
+_ABOUT_SIZE = """A *light* release is this folder without its heavy tables (`python -m splits.release light WHOLE LIGHT`). Its manifest is
+the same, so the hash of every table is known; `python -m splits.release verify --light` accepts that they are missing and nothing else.
+From a light release and the code of the same recipe, `python -m splits.rebuild` makes them again in minutes (points are rendered, motions
+planned, scenes sampled) and adds a table only if all its values have the listed hash. `timings` were measured: nothing makes them again.
+
+All tables are lossless but one: the points of `scene_points` lie on a grid of 1/8192 m, 0.06 mm from where the renderer saw them at most,
+beside pixels 3 mm apart. Measured label columns stay 64 bits wide: as 32-bit numbers they would save a tenth of a light release, and the
+last bit is what shows that physics repeats itself. `candidates` and `grasps` hold what the stages' own tables do, which are not shipped;
+the hand pose of every pool grasp in `grasps`, a third of that table, follows from the object's pose and `grasp_pool`, and stays because
+rankers read it."""
 
 _CHECKING = """`python -m splits.release verify DIR` recomputes every checksum, checks every schema, and looks for impossible labels, for
 leaks between splits and for files that do not belong here. `manifest.json` was written last: without it a release is not complete. It
 lists size and SHA-256 of every other file, and in `manifest_sha256` the SHA-256 of its own other fields."""
 
 
-def render_card(tables: Mapping[str, pa.Table], facts: Mapping[str, str]) -> str:
+def render_card(tables: Mapping[str, pa.Table], facts: Mapping[str, str], sizes: Mapping[str, int]) -> str:
     """Markdown of the data card.
 
     Args:
         tables: all tables of the release, by name.
         facts: what the tables do not say: `tier`, `version`, `schema_version`, `licence`, `release_hash`, `scenes_of_tier`, provenance.
+        sizes: bytes of the file of each table.
     """
     frames = {name: frame_of(tables[name]) for name in ("candidates", "splits", "scenes", "targets", "grasps", "objects")}
     joined = frames["candidates"].join(frames["splits"], on="scene_id").with_columns(pl.col("y_pipe").fill_null(False).alias("success"))
@@ -98,9 +112,14 @@ def render_card(tables: Mapping[str, pa.Table], facts: Mapping[str, str]) -> str
         "## Scenes",
         _scenes(frames["scenes"]),
         f"## How to read it\n\n{_READING}",
+        "## How sure the labels are",
+        confidence_section(frames["candidates"], frame_of(tables["attempts"]) if "attempts" in tables else None),
         "## Tables",
-        _overview(tables),
+        _overview(tables, sizes),
         _ABOUT_TABLES,
+        "## Size, and the light release",
+        _light(tables, sizes),
+        _ABOUT_SIZE,
         *(_schema(ALL_SCHEMAS[name]) for name in sorted(tables)),
         f"## Limits\n\n{_LIMITS}",
         f"## Licence and citation\n\n{licence}",
@@ -183,11 +202,27 @@ def _scenes(scenes: pl.DataFrame) -> str:
     return table(["scenes", *(f"{n} obstacles" if n != 1 else "1 obstacle" for n in obstacle_counts)], rows)
 
 
-def _overview(tables: Mapping[str, pa.Table]) -> str:
+def _overview(tables: Mapping[str, pa.Table], sizes: Mapping[str, int]) -> str:
     rows = [
-        [f"`{name}`", ALL_SCHEMAS[name].meaning, ", ".join(ALL_SCHEMAS[name].key), count(tables[name].num_rows)] for name in sorted(tables)
+        [f"`{name}`", ALL_SCHEMAS[name].meaning, ", ".join(ALL_SCHEMAS[name].key), count(tables[name].num_rows), _kilobytes(sizes[name])]
+        for name in sorted(tables)
     ]
-    return table(["table", "one row is", "key", "rows"], rows, align="lllr")
+    return table(["table", "one row is", "key", "rows", "kB"], rows, align="lllrr")
+
+
+def _light(tables: Mapping[str, pa.Table], sizes: Mapping[str, int]) -> str:
+    heavy = [name for name in sorted(tables) if name in HEAVY_TABLES]
+    rows = [
+        [f"`{name}`", _kilobytes(sizes[name]), f"`python -m splits.rebuild DIR {target}`" if (target := HEAVY_TABLES[name]) else "nothing"]
+        for name in heavy
+    ]
+    total, n_candidates = sum(sizes[name] for name in tables if name not in HEAVY_TABLES), max(1, tables["candidates"].num_rows)
+    rows.append(["all others", _kilobytes(total), f"always there: {total / n_candidates:.0f} bytes a candidate"])
+    return table(["table", "kB", "made again by"], rows, align="lrl")
+
+
+def _kilobytes(n_bytes: int) -> str:
+    return f"{n_bytes / 1e3:,.1f}"
 
 
 def _schema(schema: TableSchema) -> str:

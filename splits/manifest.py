@@ -30,6 +30,8 @@ DATA_VERSION = "0.3.0"
 
 # Measured once, different on every machine: shipped and checksummed, but no part of what the release hash identifies.
 MEASUREMENTS = ("timings",)
+# Made from a release, so after it: what repeats said about its labels. No part of the release hash either.
+ABOUT_THE_RELEASE = ("attempts",)
 
 _MAX_DIGITS = 18  # of a whole number, so that it fits into 64 bits
 _OWN_HASH = "manifest_sha256"
@@ -135,8 +137,9 @@ def content_sha256(content: Mapping[str, Any]) -> str:
 
 
 def release_hash_of(entries: Mapping[str, TableEntry]) -> str:
-    """SHA-256 over the content hashes of the tables, without measurements."""
-    lines = [f"{name} {entry.content_hash}\n" for name, entry in sorted(entries.items()) if name not in MEASUREMENTS]
+    """SHA-256 over the content hashes of the tables, without measurements and what was said about the release later."""
+    beside = {*MEASUREMENTS, *ABOUT_THE_RELEASE}
+    lines = [f"{name} {entry.content_hash}\n" for name, entry in sorted(entries.items()) if name not in beside]
     return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 

@@ -1,10 +1,10 @@
 """Makes a heavy table of a light release again, from what the release holds and the code that made it.
 
-python -m splits.rebuild DIR points|plans|attempts [--workers N]
+python -m splits.rebuild DIR points|plans|rejections [--workers N]
 
-Points are rendered from the scenes; a plan is searched again for every candidate that has one; attempts are what scene sampling
-rejected. Work goes shard by shard through the same stages that made the release, into a folder beside it, so that a killed rebuild goes
-on where it was. The release gets the table only if all its values have the hash that the manifest has listed since it was written.
+Points are rendered from the scenes; a plan is searched again for every candidate that has one; rejections are the draws that scene
+sampling did not keep. Work goes shard by shard through the same stages that made the release, into a folder beside it, so that a killed
+rebuild goes on where it was. The release gets the table only if all its values have the hash that its manifest lists.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from tables.identity import family_of_tier, scenes_of_shard, shard_of_scene
 from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES, OBJECT_TABLES
 from tables.sidecar import Sidecar, find_published
 from tables.store import content_hash, read_tables, write_table
+from tables.versions import library_versions
 
 _STAGE_OF = {"plans": STAGE["planning_labels"], "scene_points": STAGE["scene_points"], "scene_attempts": STAGE["scenes"]}
 TARGETS = {target: table for table, target in HEAVY_TABLES.items() if target is not None}
@@ -113,7 +114,8 @@ def _make_shards(release: Release, stage: Stage, recipe: Recipe, root: DataRoot,
         n_made += not report.is_reused
         spent_s = time.perf_counter() - start
         left_s = spent_s / max(n_made, 1) * (len(shards) - k)
-        log(f"{shard}: {'kept' if report.is_reused else 'made'}, {k} of {len(shards)} shards in {spent_s:.0f} s, about {left_s:.0f} s left")
+        done = "kept" if report.is_reused else f"made in {report.core_s:.1f} core-s"
+        log(f"{shard}: {done}, {k} of {len(shards)} shards in {spent_s:.0f} s, about {left_s:.0f} s left")
     return shards
 
 
@@ -156,8 +158,15 @@ def _check_outcome(release: Release, name: str, made: Mapping[str, pa.Table]) ->
     if found != entry.content_hash:
         raise ReleaseError(
             f"{name} made again: content hash {found[:12]} of {made[name].num_rows} rows, manifest says {entry.content_hash[:12]}"
-            f" of {entry.rows}; nothing was put into the release"
+            f" of {entry.rows}{_other_engines(release.manifest, _STAGE_OF[name])}; nothing was put into the release"
         )
+
+
+def _other_engines(manifest: Manifest, stage: Stage) -> str:
+    """Engines of another version than those that made the release: the first thing to suspect."""
+    installed = library_versions(stage.engines)
+    other = [f"{name} {manifest.libraries.get(name)}, here {own}" for name, own in installed.items() if manifest.libraries.get(name) != own]
+    return f" (made with {'; '.join(other)})" if other else ""
 
 
 def _first_difference(made: pa.Table, expected: pa.Table) -> str:

@@ -103,7 +103,8 @@ def write_release(
         "rotation_tolerance_rad": f"{rotation_tolerance_rad:.4g}",
         "scenes_of_tier": str(sum(len(scenes_of_shard(shard)) for shard in shards_of_tier(tier))),
     }
-    write_text_atomically(directory / CARD, render_card(tables, facts))
+    sizes = {name: (directory / entry.file).stat().st_size for name, entry in entries.items()}
+    write_text_atomically(directory / CARD, render_card(tables, facts, sizes))
     files = [CARD, *(file for name in entries for file in files_of_table(name))]
     manifest = Manifest(
         name=NAME,
@@ -200,6 +201,15 @@ def _check_contents(tables: Mapping[str, pa.Table], tier: str, provenance: Mappi
         unknown_objects = sorted(set(tables[name]["object_id"].to_pylist()) - objects)
         if unknown_objects:
             raise ReleaseError(f"{name}: object {unknown_objects[0]} is not in objects ({len(unknown_objects)} are not, must be 0)")
+    _check_attempts(tables)
+
+
+def _check_attempts(tables: Mapping[str, pa.Table]) -> None:
+    """Raise ReleaseError where repeats are of a candidate that the release does not hold."""
+    if "attempts" in tables:
+        strange = sorted(set(tables["attempts"]["candidate_id"].to_pylist()) - set(tables["candidates"]["candidate_id"].to_pylist()))
+        if strange:
+            raise ReleaseError(f"attempts: {strange[0]} is no candidate ({len(strange)} are none, must be 0)")
 
 
 def _check_values(tables: Mapping[str, pa.Table], position_tolerance_m: float, rotation_tolerance_rad: float) -> None:

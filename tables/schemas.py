@@ -180,7 +180,7 @@ TIMINGS = TableSchema("timings", "core time of each unit of work, measured once;
 OBJECT_TABLES = ("objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool")
 
 # Tables that a light release leaves out, and what `python -m splits.rebuild DIR` is told to make each again; None where nothing can.
-HEAVY_TABLES: dict[str, str | None] = {"plans": "plans", "scene_points": "points", "scene_attempts": "attempts", "timings": None}
+HEAVY_TABLES: dict[str, str | None] = {"plans": "plans", "scene_points": "points", "scene_attempts": "rejections", "timings": None}
 
 LABEL_COLUMNS = tuple(column.name for column in (*_PLANNING, *_EXECUTION))
 

@@ -32,7 +32,8 @@ from assets_def import build as command
 from assets_def.checks import consistency_result
 from assets_def.definitions import definitions
 from assets_def.object_assets import object_assets
-from assets_def.release_assets import release_steps
+from assets_def.proof_assets import attempts_step
+from assets_def.release_assets import release_step, release_steps
 from assets_def.report_assets import profile_step, report_steps
 from assets_def.resources import Benchmark
 from assets_def.stages import stage_assets
@@ -40,11 +41,12 @@ from model.errors import RankerError
 from objects.catalogue import load_catalogue
 from objects.provenance import catalogue_sources
 from pipelines.recipe import RecipeError
+from splits.manifest import read_manifest
 from splits.release import ReleaseError
 from tables.files import file_sha256
 from tables.identity import IdentityError
-from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES
-from tables.store import StoreError, read_table, sidecar_path, table_from_rows, write_table
+from tables.schemas import ALL_SCHEMAS, ATTEMPTS, OBJECT_TABLES
+from tables.store import StoreError, read_sidecar, read_table, sidecar_path, table_from_rows, write_table
 from tests.assets_def.conftest import Built, run
 from tests.assets_def.small import SHARD, TIER, SmallBenchmark
 from tests.assets_def.test_instance import YAML
@@ -270,6 +272,32 @@ def test_other_labels_make_what_reads_them_again(built: Built, tmp_path: Path) -
     write_table(ALL_SCHEMAS["policy_features"], table_from_rows(ALL_SCHEMAS["policy_features"], rows), path)
     done = {step.name: step.is_done(benchmark, TIER) for step in release_steps}
     assert done == {"candidates and grasps": True, "splits": True, "release": False}
+
+
+def test_attempts_are_released_once_they_are_of_todays_labels(built: Built, tmp_path: Path) -> None:
+    """Those that are there are made up, and say of nothing what they were made from."""
+    benchmark = built.copy(tmp_path / "small")
+    before = read_manifest(benchmark.root.release(TIER))
+    assert "attempts" not in before.tables
+    assert release_step.is_done(benchmark, TIER)
+    path = benchmark.root.tier_table(TIER, "attempts")
+    table, candidates = read_table(ATTEMPTS, path), read_sidecar(benchmark.root.tier_table(TIER, "candidates"))
+    recipe_hash = benchmark.recipe_of_tier(TIER).hash_of()
+    for made_from in (
+        {"table.candidates": candidates.content_hash, "recipe": "another"},
+        {"table.candidates": "another", "recipe": recipe_hash},
+    ):
+        write_table(ATTEMPTS, table, path, made_from, of=TIER)
+        assert release_step.is_done(benchmark, TIER), made_from
+    write_table(ATTEMPTS, table, path, {"table.candidates": candidates.content_hash, "recipe": recipe_hash}, of=TIER)
+    assert not release_step.is_done(benchmark, TIER)
+    assert run([release_step.asset], TIER, benchmark).success
+    after = read_manifest(benchmark.root.release(TIER))
+    assert after.tables["attempts"].content_hash == read_sidecar(path).content_hash
+    assert after.release_hash == before.release_hash, "what was made from the release stays current"
+    assert release_step.is_done(benchmark, TIER)
+    (product,) = attempts_step.products(benchmark, TIER)
+    assert {"table.candidates", "recipe"} <= product.made_from.keys()  # type: ignore[attr-defined]
 
 
 def test_a_reused_report_is_shown_whole(built: Built, tmp_path: Path) -> None:

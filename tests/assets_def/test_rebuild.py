@@ -81,11 +81,15 @@ def test_a_flipped_value_is_refused(whole: Path, light: Path, recipe: Path, monk
         write_table(PLANS, table_from_rows(PLANS, rows), path, made_from, of=shard)
         return report
 
+    content = read_json(light / "manifest.json")
+    content["libraries"]["ompl"] = "1.0"
+    write_signed(light, content)
     before = files(light)
     with monkeypatch.context() as patched:
         patched.setattr(command, "run_stage", flipping)
         with pytest.raises(
-            command.ReleaseError, match=r"plans made again: content hash \w{12} of \d+ rows, manifest says .* nothing was put"
+            command.ReleaseError,
+            match=r"plans made again: content hash \w{12} of \d+ rows, .* \(made with ompl 1\.0, here [\d.]+\); nothing",
         ):
             rebuild(light, "plans", 0, recipe, lambda _: None)
     assert files(light) == before
