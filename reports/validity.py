@@ -15,7 +15,8 @@ from reports.metrics import clopper_pearson
 from splits.markdown import count, percent, table
 
 NOT_MEASURED = "not measured"
-N_LISTED = 40  # flips that are named
+N_LISTED = 60  # flips that are named
+NEAR_MARGIN, SAME_SLIP_MM = 0.05, 0.1
 
 _DEFINITIONS = (
     "Executions are chosen by hash, as many of each category, within it as many of every stored status as is its share; a label *flips*"
@@ -68,7 +69,7 @@ def validity_report(numbers: Mapping[str, float | None], results: Sequence[Study
         _table(BESIDE, numbers, {}),
         *(_not_measured(missing, results) if missing or any(result.problem for result in results) else []),
         *_faults(results),
-        *_friction_flips(results),
+        *_flips(results),
         "## What the words mean",
         *_DEFINITIONS,
         "## Made from",
@@ -114,16 +115,16 @@ def _faults(results: Sequence[StudyResult]) -> list[str]:
     return ["## Faults", "\n".join(faults)] if faults else []
 
 
-def _friction_flips(results: Sequence[StudyResult]) -> list[str]:
-    """Every flip under other friction with its margins: near the tolerance a label is a coin's edge."""
+def _flips(results: Sequence[StudyResult]) -> list[str]:
+    """Flips by change and cause, and each by name: near the tolerance, or on the ground, a label is a coin's edge."""
     rows: list[Row] = [row for result in results if result.name == "flips" for row in result.rows if "change" in row]
-    flipped = sorted(flips_of(rows, FRICTION), key=lambda pair: (goes_right_way(pair[1]), pair[1]["candidate_id"], pair[1]["change"]))
+    flipped = flips_of(rows, [change for change in Change if change not in (Change.LEVER_UP, Change.LEVER_DOWN)])
     if not flipped:
         return []
     header = [
+        "change",
         "candidate",
         "category",
-        "change",
         "status without",
         "with",
         "margin without",
@@ -132,19 +133,31 @@ def _friction_flips(results: Sequence[StudyResult]) -> list[str]:
         "with",
         "right way",
     ]
+    order = [change.value for change in Change]
+    flipped = sorted(flipped, key=lambda pair: (order.index(pair[1]["change"]), pair[1]["candidate_id"]))
     listed = [
         [
-            *(after[name] for name in ("candidate_id", "category", "change")),
+            *(after[name] for name in ("change", "candidate_id", "category")),
             *(f"`{row['status']}`" for row in (before, after)),
             *(f"{row['margin']:.3f}" for row in (before, after)),
             *(f"{row['slip_mm']:.2f}" for row in (before, after)),
-            "yes" if goes_right_way(after) else "**no**",
+            _way(after),
         ]
         for before, after in flipped[:N_LISTED]
     ]
-    left = f" The first {N_LISTED}:" if len(flipped) > N_LISTED else ""
-    text = f"{count(len(flipped))} flips; the margin is 0 at the tolerance and 1 on the target.{left}"
-    return ["## Flips under other friction", text, table(header, listed, align="lllllrrrrl"), "By change:", _by_change(rows)]
+    left = f", the first {N_LISTED} of {count(len(flipped))}" if len(flipped) > N_LISTED else ""
+    text = (
+        f"The margin is 0 at the tolerance and 1 on the target. *Near* are flips of labels within {NEAR_MARGIN:g} of the tolerance, *landed"
+        f" otherwise* those with the same slip in the hand to {SAME_SLIP_MM:g} mm: what differs came after the fingers opened."
+    )
+    blocks = ["## Flips by change", text, _by_change(rows), f"Those under changes that have a bound{left}:"]
+    return [*blocks, table(header, listed, align="lllllrrrrl")]
+
+
+def _way(after: Row) -> str | None:
+    if after["change"] not in [change.value for change in FRICTION]:
+        return None
+    return "yes" if goes_right_way(after) else "**no**"
 
 
 def _by_change(rows: Sequence[Row]) -> str:
@@ -155,5 +168,8 @@ def _by_change(rows: Sequence[Row]) -> str:
             continue
         flipped = flips_of(rows, (change,))
         up = sum(bool(after["is_success"]) for _, after in flipped)
-        lines.append([change.value, count(len(own)), percent(sum(row["is_success"] for row in own) / len(own)), up, len(flipped) - up])
-    return table(["change", "runs", "success", "flips up", "flips down"], lines)
+        near = sum(abs(before["margin"]) < NEAR_MARGIN for before, _ in flipped)
+        landed = sum(abs(after["slip_mm"] - before["slip_mm"]) < SAME_SLIP_MM for before, after in flipped)
+        success = percent(sum(row["is_success"] for row in own) / len(own))
+        lines.append([change.value, count(len(own)), success, up, len(flipped) - up, near, landed])
+    return table(["change", "runs", "success", "flips up", "flips down", "near", "landed otherwise"], lines)
