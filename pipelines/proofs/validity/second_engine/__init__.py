@@ -7,7 +7,7 @@ summary(rows, {one.candidate_id: one.weight for one in chosen})
 ```
 """
 
-from pipelines.proofs.validity.second_engine.opinion import opinion
+from pipelines.proofs.validity.second_engine.both_engines import opinion
 from pipelines.proofs.validity.second_engine.sample import Chosen, choose, confusion, summary
 
 __all__ = ["Chosen", "choose", "confusion", "opinion", "summary"]

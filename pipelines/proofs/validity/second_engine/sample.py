@@ -1,4 +1,4 @@
-"""Which candidates two engines judge, and what their agreement is; a judgement is opinion.py's."""
+"""Which candidates two engines judge, and what their agreement is; a judgement is both_engines.py's."""
 
 from __future__ import annotations
 

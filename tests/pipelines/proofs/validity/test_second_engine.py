@@ -17,17 +17,17 @@ from pipelines.engines.physics.phases import Phase, pose_difference
 from pipelines.engines.planning.trajectory import MotionParams, time_path
 from pipelines.engines.robot.arm import HOME_Q_RAD, fk
 from pipelines.labels.execution import ExecutionParams, ExecutionSetup
-from pipelines.proofs.validity.pull_out import DIRECTIONS, across_the_jaw
+from pipelines.proofs.validity.pull_out import DIRECTIONS, across_the_jaw, pull_out_ratio, stated_lever_m, torsion_lever_m
 from pipelines.proofs.validity.second_engine import choose, confusion, opinion, summary
+from pipelines.proofs.validity.second_engine.both_engines import BULLET_STEPS_PER_TICK, MUJOCO_STEPS_PER_TICK, rigid_pads
 from pipelines.proofs.validity.second_engine.bullet_world import BulletHandWorld
-from pipelines.proofs.validity.second_engine.opinion import rigid_pads
 from pipelines.values import Target
 from tables.poses import inverse
 from tests.pipelines.engines.physics.lifted import MOTION, PHYSICS, Lifted, lifted
 from tests.pipelines.engines.physics.object_models import can_model, cuboid_model
 
 MODELS = [can_model(), cuboid_model()]
-PARAMS = rigid_pads(PHYSICS)
+PARAMS = rigid_pads(PHYSICS, BULLET_STEPS_PER_TICK)
 SETUP = ExecutionSetup(ExecutionParams(), MOTION, PHYSICS)
 
 
@@ -61,9 +61,9 @@ def test_a_hold_does_not_creep(object_model: ObjectModel, grasp_id: int) -> None
     grasp = object_model.grasp(grasp_id)
     with BulletHandWorld(object_model, (), PARAMS) as world:
         world.start_taking("hold", HOME_Q_RAD, grasp.jaw_width_m / 2 + 0.002, inverse(grasp.T_object_grasp), 0.1)
-        hold(world, Phase.HOLD, 0.1)  # type: ignore[arg-type]
+        hold(world, Phase.HOLD, 0.1)
         T = world.inhand_pose()
-        hold(world, Phase.HOLD, 0.5)  # type: ignore[arg-type]
+        hold(world, Phase.HOLD, 0.5)
         creep_m, creep_rad = pose_difference(T, world.inhand_pose())
     assert creep_m < 2e-5
     assert creep_rad < 2e-4
@@ -88,6 +88,13 @@ def test_pull_out_force_is_coulombs(direction: tuple[float, float, float]) -> No
     assert moved_m[1] > 0.05
 
 
+def test_rigid_pads_of_the_label_engine_hold_by_their_corners() -> None:
+    """Half a diagonal of the pad, 12.7 mm, instead of the 6.9 mm of even pressure; what they hold of a pull is the same."""
+    params = rigid_pads(PHYSICS, MUJOCO_STEPS_PER_TICK)
+    assert pull_out_ratio(cuboid_model(), DIRECTIONS[2], params) == pytest.approx(1.0, abs=0.03)
+    assert torsion_lever_m(cuboid_model(), params) > 1.5 * stated_lever_m(params)
+
+
 def test_what_a_turning_hand_does_not_hold_falls_freely() -> None:
     """In the hand's frame, handed over to the base frame: gravity and inertia forces add up to a plain fall."""
     object_model = cuboid_model()
@@ -97,7 +104,7 @@ def test_what_a_turning_hand_does_not_hold_falls_freely() -> None:
     swing = time_path(np.stack([HOME_Q_RAD, far]), MotionParams(), PARAMS.dt_s, stop_at_waypoints=True)
     with BulletHandWorld(object_model, (), PARAMS) as world:
         world.start_held("fall", HOME_Q_RAD, [0.03, 0.03], inverse(fk(HOME_Q_RAD)) @ T)
-        assert not move(world, Phase.TRANSPORT, swing)  # type: ignore[arg-type]
+        assert not move(world, Phase.TRANSPORT, swing)
         assert world.is_lost
         while world.n_steps < 60:
             world.step()

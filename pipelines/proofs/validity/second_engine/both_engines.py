@@ -26,8 +26,8 @@ from pipelines.values import Candidate, Motion
 
 # Cells stand before a rigid block; without them the block is the pad, this far behind the pad's face.
 BEHIND_FACE_M = 1e-5
-# Rigid pads need half of the step that pads of rubber need, in both engines: SECOND_ENGINE.md.
-STEPS_PER_TICK = 8
+# Rigid pads need finer steps than pads of rubber. Each engine has the one at which its own half changes little: SECOND_ENGINE.md.
+MUJOCO_STEPS_PER_TICK, BULLET_STEPS_PER_TICK = 16, 8
 _MEASURES = {
     "success": "y_pipe",
     "status": "exec_status",
@@ -52,10 +52,10 @@ def opinion(object_model: ObjectModel, candidate: Candidate, motion: Motion, set
     Raises:
         PhysicsError: an engine warned or gave a state that is not finite; names the candidate.
     """
-    rigid, held = with_rigid_pads(setup), touching(object_model, candidate)
+    held = touching(object_model, candidate)
     labels = {
-        "mujoco": mujoco_row(object_model, held, motion, rigid),
-        "bullet": bullet_row(object_model, held, motion, rigid),
+        "mujoco": mujoco_row(object_model, held, motion, with_rigid_pads(setup, MUJOCO_STEPS_PER_TICK)),
+        "bullet": bullet_row(object_model, held, motion, with_rigid_pads(setup, BULLET_STEPS_PER_TICK)),
         "yielding": mujoco_row(object_model, candidate, motion, setup),
     }
     T_mujoco, T_bullet = (pose_in(labels[name], "final") for name in ("mujoco", "bullet"))
@@ -81,15 +81,15 @@ def bullet_row(object_model: ObjectModel, candidate: Candidate, motion: Motion, 
         return execute_candidate(cast(HandWorld, world), candidate, motion, setup)
 
 
-def with_rigid_pads(setup: ExecutionSetup) -> ExecutionSetup:
+def with_rigid_pads(setup: ExecutionSetup, steps_per_tick: int) -> ExecutionSetup:
     """The same physics on pads that are rigid boxes."""
-    return dataclasses.replace(setup, physics=rigid_pads(setup.physics))
+    return dataclasses.replace(setup, physics=rigid_pads(setup.physics, steps_per_tick))
 
 
-def rigid_pads(params: HandWorldParams) -> HandWorldParams:
-    """Pads that are rigid boxes, and the step that they need."""
-    steps = max(params.steps_per_tick, STEPS_PER_TICK)
-    return dataclasses.replace(params, cells_per_side=0, pad_protrusion_m=BEHIND_FACE_M, steps_per_tick=steps)
+def rigid_pads(params: HandWorldParams, steps_per_tick: int) -> HandWorldParams:
+    """Pads that are rigid boxes; the step is not longer than it was."""
+    steps_per_tick = max(params.steps_per_tick, steps_per_tick)
+    return dataclasses.replace(params, cells_per_side=0, pad_protrusion_m=BEHIND_FACE_M, steps_per_tick=steps_per_tick)
 
 
 def touching(object_model: ObjectModel, candidate: Candidate) -> Candidate:
