@@ -14,6 +14,7 @@ from pipelines.proofs.validity.lifts import lifts_study
 from pipelines.proofs.validity.loads import loads_study
 from pipelines.proofs.validity.pull_out import pull_out_study, torsion_study
 from pipelines.proofs.validity.running import StudyResult, run_study
+from pipelines.proofs.validity.second_opinion import second_engine_study
 from pipelines.proofs.validity.study import Study
 from pipelines.proofs.validity.subject import Subject
 from pipelines.running.workers import Workers
@@ -27,6 +28,7 @@ STUDIES: tuple[Callable[[Subject], Study], ...] = (
     loads_study,
     flips_study,
     lifts_study,
+    second_engine_study,
 )
 
 

@@ -31,6 +31,7 @@ class Sizes:
     n_loads: int = 6000  # executed cans and cuboids; all of pilot
     n_executions: int = 300
     n_lifts: int = 150
+    n_second_engine: int = 150
 
     def __post_init__(self) -> None:
         for name in self.__slots__:
