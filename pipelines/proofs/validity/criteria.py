@@ -82,6 +82,7 @@ BESIDE = (
     _beside(_EVEN, "transport_slip_even_pads_mm_max", "n_transport_slip_even_pads", "slip at <= 25 %, grips askew among them"),
     _beside(_EVEN, "light_load_drops_even_pads", "n_light_load_even_pads", "lost below half"),
     _beside(_EVEN, "cuboid_auc_even_pads", "n_cuboid_auc", "success foretold"),
+    _beside(_FRICTION, "friction_slip_right_way", "n_friction_slip", "slip in the hand, where it differs: more friction slips less"),
     _beside(_LEVER, "pad_lever_up_flip", "n_pad_lever_up", "what a longer lever changes"),
     _beside(_LEVER, "pad_lever_down_flip", "n_pad_lever_down", "what a shorter lever changes"),
     _beside(_LIFT, "lift_half_step_flip", "n_lift_half_step", "lifted or not, at half the step"),
