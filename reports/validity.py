@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pipelines.codecs import Row
 from pipelines.proofs.validity.changes import FRICTION, Change
 from pipelines.proofs.validity.criteria import BESIDE, CRITERIA, Criterion
-from pipelines.proofs.validity.flips import flips_of, goes_right_way
+from pipelines.proofs.validity.flips import TELLING_SLIP_MM, flips_of, goes_right_way
 from pipelines.proofs.validity.running import StudyResult
 from reports.metrics import clopper_pearson
 from splits.markdown import count, percent, table
 
 NOT_MEASURED = "not measured"
 N_LISTED = 60  # flips that are named
-NEAR_MARGIN, SAME_SLIP_MM = 0.05, 0.1
+NEAR_MARGIN = 0.05
 
 _DEFINITIONS = (
     "Executions are chosen by hash, as many of each category, within it as many of every stored status as is its share; a label *flips*"
@@ -148,7 +148,7 @@ def _flips(results: Sequence[StudyResult]) -> list[str]:
     left = f", the first {N_LISTED} of {count(len(flipped))}" if len(flipped) > N_LISTED else ""
     text = (
         f"The margin is 0 at the tolerance and 1 on the target. *Near* are flips of labels within {NEAR_MARGIN:g} of the tolerance, *landed"
-        f" otherwise* those with the same slip in the hand to {SAME_SLIP_MM:g} mm: what differs came after the fingers opened."
+        f" otherwise* those with the same slip in the hand to {TELLING_SLIP_MM:g} mm: what differs came after the fingers opened."
     )
     blocks = ["## Flips by change", text, _by_change(rows), f"Those under changes that have a bound{left}:"]
     return [*blocks, table(header, listed, align="lllllrrrrl")]
@@ -169,7 +169,7 @@ def _by_change(rows: Sequence[Row]) -> str:
         flipped = flips_of(rows, (change,))
         up = sum(bool(after["is_success"]) for _, after in flipped)
         near = sum(abs(before["margin"]) < NEAR_MARGIN for before, _ in flipped)
-        landed = sum(abs(after["slip_mm"] - before["slip_mm"]) < SAME_SLIP_MM for before, after in flipped)
+        landed = sum(abs(after["slip_mm"] - before["slip_mm"]) < TELLING_SLIP_MM for before, after in flipped)
         success = percent(sum(row["is_success"] for row in own) / len(own))
         lines.append([change.value, count(len(own)), success, up, len(flipped) - up, near, landed])
     return table(["change", "runs", "success", "flips up", "flips down", "near", "landed otherwise"], lines)

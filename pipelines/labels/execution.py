@@ -75,7 +75,10 @@ def execute_perturbed(
 def perturbed_setup(setup: ExecutionSetup, perturbation: Perturbation) -> ExecutionSetup:
     """A longer hold, half the step, other friction, another lever of the pads, or no change."""
     changes: dict[Perturbation, dict[str, float]] = {
-        Perturbation.FINE_STEP: {"steps_per_tick": 2 * setup.physics.steps_per_tick},
+        Perturbation.FINE_STEP: {
+            "steps_per_tick": 2 * setup.physics.steps_per_tick,
+            "landing_steps_per_tick": 2 * setup.physics.landing_steps_per_tick,
+        },
         Perturbation.FRICTION_UP: {"friction_scale": 1.05},
         Perturbation.FRICTION_DOWN: {"friction_scale": 0.95},
         Perturbation.PAD_LEVER_UP: {"pad_lever_scale": 1.15},
@@ -120,6 +123,7 @@ def _carry(world: HandWorld, motion: Motion, setup: ExecutionSetup, monitor: Mon
 def _let_go(world: HandWorld, grasp: LiftedGrasp, motion: Motion, setup: ExecutionSetup, monitor: Monitor) -> float:
     """Open and retreat; returns how far the object moved during the retreat, in metres."""
     width_m = world.object_model.grasp(grasp.grasp_id).jaw_width_m
+    world.begin_landing()
     open_fingers(world, open_jaw_m(width_m), setup.execution.max_open_s, monitor.film)
     hold(world, Phase.OPEN, setup.execution.release_wait_s, monitor.film)
     T_opened = world.object_pose()

@@ -32,7 +32,17 @@ class Carrier(StrEnum):
 
     HAND_FRAME = "hand_frame"  # the frame is the hand's: the hand is at rest in it, table and obstacles go by
     REST_FRAME = "rest_frame"  # the frame is at rest: the hand slides in it
-    NO_HAND = "no_hand"  # the base frame, the object alone
+    LANDING = "landing"  # the same in finer steps: the hand lets go, and what it held lands
+    NO_HAND = "no_hand"  # the base frame, the object alone, in the steps of a landing
+
+    @property
+    def is_sliding(self) -> bool:
+        """Whether the hand slides in a frame at rest."""
+        return self in (Carrier.REST_FRAME, Carrier.LANDING)
+
+    def steps_per_tick(self, params: HandWorldParams) -> int:
+        """Contact steps of a tick."""
+        return params.landing_steps_per_tick if self in (Carrier.LANDING, Carrier.NO_HAND) else params.steps_per_tick
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +51,8 @@ class SceneModel:
 
     model: mujoco.MjModel
     carrier: Carrier
+    n_steps: int  # of a tick
+    step_s: float
     object_body: int
     object_q: int
     object_v: int
@@ -66,7 +78,7 @@ def build_model(object_model: ObjectModel, obstacles: Sequence[Obstacle], params
     _set_pad_yield(model, params)
     names = [model.geom(k).name for k in range(model.ngeom)]
     has_hand = carrier is not Carrier.NO_HAND
-    slides = SLIDES if carrier is Carrier.REST_FRAME else ()
+    slides = SLIDES if carrier.is_sliding else ()
 
     def at(field: str, joints: Sequence[str]) -> tuple[int, ...]:
         return tuple(int(getattr(model.joint(name), field)[0]) for name in joints)
@@ -74,6 +86,8 @@ def build_model(object_model: ObjectModel, obstacles: Sequence[Obstacle], params
     return SceneModel(
         model=model,
         carrier=carrier,
+        n_steps=carrier.steps_per_tick(params),
+        step_s=float(model.opt.timestep),
         object_body=int(model.body("object").id),
         object_q=at("qposadr", ["object"])[0],
         object_v=at("dofadr", ["object"])[0],
@@ -93,7 +107,7 @@ def _xml(object_model: ObjectModel, obstacles: Sequence[Obstacle], params: HandW
     option = ET.SubElement(
         root,
         "option",
-        timestep=repr(params.step_s),
+        timestep=repr(params.dt_s / carrier.steps_per_tick(params)),
         # Whatever is damped implicitly outside of the constraint solver (implicitfast) is not what the solver reckoned with: pads
         # then stay pressed in by 0.3 mm under forces that belong to 0.04. Here nothing is.
         integrator="Euler",
@@ -112,11 +126,11 @@ def _xml(object_model: ObjectModel, obstacles: Sequence[Obstacle], params: HandW
     add_environment(world, object_model, obstacles, params)
     add_object(asset, world, object_model)
     sensors = ET.SubElement(root, "sensor")
-    history = str(params.steps_per_tick)
+    history = str(carrier.steps_per_tick(params))
     for name in fixed_bodies(obstacles):
         _add_force(sensors, f"object {name}", history, body1="object", geom2=name)
     if carrier is not Carrier.NO_HAND:
-        add_hand(root, asset, world, object_model, params, carrier is Carrier.REST_FRAME)
+        add_hand(root, asset, world, object_model, params, carrier.is_sliding)
         for name in fixed_bodies(obstacles):
             _add_force(sensors, f"robot {name}", history, subtree1="panda_hand", geom2=name)
         _add_force(sensors, "robot anything", history, subtree1="panda_hand")

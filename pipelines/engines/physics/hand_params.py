@@ -24,6 +24,8 @@ class HandWorldParams:
     # The note beside this engine tells what half of the step changes.
     dt_s: float = bounded(1 / 240, 1e-4, 1 / 240 + 1e-12)
     steps_per_tick: int = bounded(4, 1, 64)
+    # From the moment the hand lets go: what tumbles off opening fingers and lands on an edge hangs on the step as what is held does not.
+    landing_steps_per_tick: int = bounded(16, 1, 256)
     check_every_steps: int = bounded(8, 1, 240)  # ticks from one look to the next: 33 ms
     solver_iterations: int = bounded(100, 1, 1000)  # Newton converges in 1 to 13
     solver_tolerance: float = bounded(1e-13, 1e-15, 1e-3)

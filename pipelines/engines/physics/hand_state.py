@@ -54,7 +54,7 @@ class HandState:
         self.velocity_m_s, self.rate_rad_s = np.zeros(3), np.zeros(3)
         self.turn_gravity()
         self.place_environment(pose_of(inverse(self.T_base_frame)))
-        self.forces = ContactForces(at, self._params.steps_per_tick)
+        self.forces = ContactForces(at, at.n_steps)
 
     def change(self, carrier: Carrier) -> None:
         """Carry the state over to another model; the hand is at rest, or leaves."""
@@ -118,7 +118,7 @@ class HandState:
     def tcp_pose(self) -> Float[np.ndarray, "4 4"]:
         """T_base_tcp; where the hand was last, once it has left."""
         T: Float[np.ndarray, "4 4"] = self.T_base_hand.copy()
-        if self.at.carrier is Carrier.REST_FRAME:
+        if self.at.carrier.is_sliding:
             # A line keeps the orientation with which it began.
             T[:3, :3] = self.T_base_frame[:3, :3]
         return T

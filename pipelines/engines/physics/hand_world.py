@@ -110,6 +110,10 @@ class HandWorld:
         self._impulse["robot", "anything"] = 0.0
         self.most_iterations = 0
 
+    def begin_landing(self) -> None:
+        """Go on in the finer steps of a landing; the hand is at rest."""
+        self._change(Carrier.LANDING)
+
     def remove_hand(self) -> None:
         """Take the hand out of the world: what the object does from here on is its own affair, at a third of the cost."""
         self._change(Carrier.NO_HAND)
@@ -160,7 +164,10 @@ class HandWorld:
         miss = float(np.abs(motion.T_base_tcp[0] - self._state.T_base_hand).max())
         if miss > 1e-4:
             raise PhysicsError(f"{self._label}: a motion starts {miss:.2g} (m or sine) from where the hand is, must be at most 1e-4")
-        self._change(Carrier.HAND_FRAME if motion.is_turning else Carrier.REST_FRAME)
+        if motion.is_turning:
+            self._change(Carrier.HAND_FRAME)
+        elif not self._state.at.carrier.is_sliding:
+            self._change(Carrier.REST_FRAME)
         self._state.data.xfrc_applied[:] = 0.0
         if motion.is_turning:
             self._gravity = np.einsum("nji,j->ni", motion.R_mid, GRAVITY)
@@ -168,7 +175,7 @@ class HandWorld:
             R, a = self._state.T_base_frame[:3, :3], motion.base_acceleration_m_s2
             self._slide_m = (motion.T_base_tcp[:-1, :3, 3] - self._state.T_base_frame[:3, 3]) @ R
             # Half a step's acceleration less: the engine's steps then end where the path is.
-            self._slide_m_s = (motion.start_velocity_m_s - a * (self.params.step_s / 2)) @ R
+            self._slide_m_s = (motion.start_velocity_m_s - a * (self._state.at.step_s / 2)) @ R
             self._slide_n = (HAND_MASS_KG + 2 * self.params.finger_mass_kg) * (a @ R)
 
     def step_along(self, motion: HandMotion, k: int, q: Float[np.ndarray, "7"]) -> None:
@@ -180,7 +187,7 @@ class HandWorld:
             at.model.opt.gravity[:] = self._gravity[k]
             r_v = data.qpos[at.object_q : at.object_q + 3], data.qvel[at.object_v : at.object_v + 6]
             data.xfrc_applied[at.object_body] = inertia_load(motion, k, self.object_model, state.object_rotation(), *r_v)
-            mujoco.mj_step(at.model, data, self.params.steps_per_tick)
+            mujoco.mj_step(at.model, data, at.n_steps)
             data.xfrc_applied[at.object_body] = 0.0
             state.T_base_frame = state.T_base_hand
             state.velocity_m_s, state.rate_rad_s = motion.end_velocity_m_s[k], motion.end_rate_rad_s[k]
@@ -194,7 +201,7 @@ class HandWorld:
             self._drive_fingers()
             slides, v = slice(at.slide_q[0], at.slide_q[0] + 3), slice(at.slide_v[0], at.slide_v[0] + 3)
             data.qpos[slides], data.qvel[v], data.qfrc_applied[v] = self._slide_m[k], self._slide_m_s[k], self._slide_n[k]
-            mujoco.mj_step(at.model, data, self.params.steps_per_tick)
+            mujoco.mj_step(at.model, data, at.n_steps)
             self._tick_done()
 
     def _tick(self) -> None:
@@ -205,7 +212,7 @@ class HandWorld:
             state.turn_gravity()
         if self.has_robot:
             self._drive_fingers()
-        mujoco.mj_step(state.at.model, state.data, self.params.steps_per_tick)
+        mujoco.mj_step(state.at.model, state.data, state.at.n_steps)
         self._tick_done()
 
     def _tick_done(self) -> None:
@@ -215,14 +222,14 @@ class HandWorld:
         sums_n = self._state.forces.sums_n(data)
         for pair, total_n in zip(self._state.forces.pairs, sums_n, strict=True):
             if total_n:
-                self._impulse[pair] += total_n * params.step_s
+                self._impulse[pair] += total_n * self._state.at.step_s
         self.most_iterations = max(self.most_iterations, int(data.solver_niter[0]))
         if data.warning.number.any():
             numbers = {kind: n for kind, n in zip(_WARNINGS, data.warning.number.tolist(), strict=True) if n}
             raise PhysicsError(f"{self._label}: MuJoCo warned after {self.n_steps} ticks: {numbers}, must not")
         if self._state.at.carrier is Carrier.NO_HAND:
             return
-        self.is_stopped = self.is_stopped or sums_n[-1] > params.protective_stop_n * params.steps_per_tick
+        self.is_stopped = self.is_stopped or sums_n[-1] > params.protective_stop_n * self._state.at.n_steps
 
     # ---------------------------------------------------------------- measurements
     def object_pose(self) -> Float[np.ndarray, "4 4"]:

@@ -85,6 +85,7 @@ BESIDE = (
     _beside(_SECOND, "engine2_agreement_weighted", "n_engine2", "each candidate counted as what it stands for in the tier"),
     _beside(_SECOND, "engine2_kappa_weighted", "n_engine2", "the same beyond chance"),
     _beside(_SECOND, "rigid_pads_agreement_weighted", "n_engine2", "rigid pads against those that make the labels, one engine"),
+    _beside(_FRICTION, "friction_slip_right_way", "n_friction_slip", "slip in the hand, where it differs: more friction slips less"),
     _beside(_LEVER, "pad_lever_up_flip", "n_pad_lever_up", "what a longer lever changes"),
     _beside(_LEVER, "pad_lever_down_flip", "n_pad_lever_down", "what a shorter lever changes"),
     _beside(_LIFT, "lift_half_step_flip", "n_lift_half_step", "lifted or not, at half the step"),

@@ -10,8 +10,9 @@ from pipelines.labels.execution import execute_perturbed
 from pipelines.proofs.validity.changes import FRICTION, Change, changed_physics
 from pipelines.proofs.validity.study import Numbers, Study, StudyUnit
 from pipelines.proofs.validity.subject import Case, Subject, choose_mixed
-from tables.vocabulary import Perturbation
+from tables.vocabulary import ExecStatus, Perturbation
 
+TELLING_SLIP_MM = 0.1  # of difference, below which two slips count as the same
 # Keys of the criteria: share of flips, number of runs.
 _KEYS = {
     Change.HALF_STEP: ("half_step_flip", "n_half_step"),
@@ -55,6 +56,7 @@ def flips_summary(rows: Sequence[Row]) -> Numbers:
     """Shares of flips, against the run without a change; of those under other friction, the share that goes the right way.
 
     The right way is that more friction turns failure into success, or less of it success into failure. Without any flip the share is 1.
+    Slip in the hand has a right way of its own, which landing has no part in.
     """
     unchanged = [row for row in rows if row["change"] == Change.NONE.value]
     numbers: dict[str, float | None] = {
@@ -66,7 +68,26 @@ def flips_summary(rows: Sequence[Row]) -> Numbers:
     flipped = flips_of(rows, FRICTION)
     numbers |= _share(flipped, "friction_flip", "n_friction", len(pairs_of(rows, FRICTION)))
     right = [after for _, after in flipped if goes_right_way(after)]
-    return numbers | {"friction_right_way": len(right) / len(flipped) if flipped else 1.0, "n_friction_flipped": float(len(flipped))}
+    slips = _slip_changes(rows)
+    return numbers | {
+        "friction_right_way": len(right) / len(flipped) if flipped else 1.0,
+        "n_friction_flipped": float(len(flipped)),
+        "friction_slip_right_way": sum(slips) / len(slips) if slips else 1.0,
+        "n_friction_slip": float(len(slips)),
+    }
+
+
+def _slip_changes(rows: Sequence[Row]) -> list[bool]:
+    """Of the holds whose slip under other friction is another: whether more friction slips less, or less of it more.
+
+    What falls out of the hand has no slip that could be compared.
+    """
+    return [
+        (after["slip_mm"] < before["slip_mm"]) == (after["change"] == Change.FRICTION_UP.value)
+        for before, after in pairs_of(rows, FRICTION)
+        if abs(after["slip_mm"] - before["slip_mm"]) > TELLING_SLIP_MM
+        and ExecStatus.DROPPED.value not in (before["status"], after["status"])
+    ]
 
 
 def pairs_of(rows: Sequence[Row], changes: Sequence[Change], by: str = "candidate_id") -> list[tuple[Row, Row]]:

@@ -88,6 +88,9 @@ class BulletHandWorld:
         self._pressing: frozenset[str] = frozenset()
         self._impulse = dict.fromkeys([(body, other) for body in ("object", "robot") for other in self.fixed_bodies], 0.0)
 
+    def begin_landing(self) -> None:
+        """Nothing changes: all steps are fine enough for a landing."""
+
     def remove_hand(self) -> None:
         """Take the hand out of the world."""
         self.object_pose()  # it must be finite

@@ -80,6 +80,17 @@ def test_flips_count_against_the_run_without_a_change() -> None:
     assert [goes_right_way(run("x", margin, change)) for change in (up, down) for margin in (0.1, -0.1)] == [True, False, False, True]
 
 
+def test_slips_go_the_right_way_where_they_differ() -> None:
+    up, down = Change.FRICTION_UP, Change.FRICTION_DOWN
+    rows = [{**run(name, 0.5), "slip_mm": 1.0} for name in "abcd"]
+    rows += [{**run(name, 0.5, up), "slip_mm": slip_mm} for name, slip_mm in (("a", 0.5), ("b", 1.05), ("c", 2.0))]
+    rows += [{**run(name, 0.5, down), "slip_mm": slip_mm} for name, slip_mm in (("a", 1.5), ("b", 3.0))]
+    rows += [{**run("d", -9.0, up), "slip_mm": 60.0, "status": "dropped_in_transport"}]
+    numbers = flips_summary(rows)
+    # b at more friction slips the same, d has fallen; c slips more with more friction.
+    assert (numbers["friction_slip_right_way"], numbers["n_friction_slip"]) == (3 / 4, 4.0)
+
+
 def test_lifts_hold_under_every_change() -> None:
     rows = []
     for model in (can_model(), cuboid_model()):
