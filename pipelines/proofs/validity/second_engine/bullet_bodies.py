@@ -78,7 +78,7 @@ def write_hand(folder: Path, params: HandWorldParams) -> Path:
     unit, origin = np.ones(3), np.zeros(3)
     palm_m, finger_m = np.array([0.0, 0.0, -TCP_FROM_HAND_M]), np.array([0.0, 0.0, FINGER_FROM_HAND_M])
     elements = [_link("frame", 1.0, unit, []), *(_link(name, _SLIDER_KG, unit, []) for name in SLIDES[:2])]
-    elements.append(_link(PALM, _HAND_MASS_KG, unit, [_hull(folder, "palm", collision_vertices(PALM))]))
+    elements.append(_link(PALM, _HAND_MASS_KG, unit, [_hull(folder, "palm", collision_vertices(PALM.removeprefix("panda_")))]))
     for parent, child, axis in zip(("frame", *SLIDES[:2]), (*SLIDES[:2], PALM), np.eye(3), strict=True):
         elements.append(_joint(parent, child, palm_m if child == PALM else origin, axis, (-10.0, 10.0)))
     for side, name in zip((1.0, -1.0), FINGERS, strict=True):
