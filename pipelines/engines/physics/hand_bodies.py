@@ -75,8 +75,12 @@ def add_environment(world: ET.Element, object_model: ObjectModel, obstacles: Seq
         )
 
 
-def add_object(asset: ET.Element, world: ET.Element, object_model: ObjectModel) -> None:
-    """A free body of the exact convex parts, with the catalogue's mass, centre of mass and inertia."""
+def add_object(asset: ET.Element, world: ET.Element, object_model: ObjectModel, params: HandWorldParams) -> None:
+    """A free body of the exact convex parts, with the catalogue's mass, centre of mass and inertia.
+
+    A can, a prism of 48 sides elsewhere, is a cylinder here: a released prism rolls by whole facets of 4 mm, and pulled across its axis it
+    wedges between the pads by half a facet.
+    """
     body = ET.SubElement(world, "body", name="object")
     ET.SubElement(body, "freejoint", name="object")
     I = object_model.inertia_kg_m2
@@ -88,12 +92,16 @@ def add_object(asset: ET.Element, world: ET.Element, object_model: ObjectModel) 
         fullinertia=_text([I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]),
     )
     for k, part in enumerate(object_model.parts):
-        box = box_of(part.vertices_m)
+        vertices_m = part.vertices_m
+        box, cylinder = box_of(vertices_m), None if params.rounds_are_hulls else cylinder_of(vertices_m)
         if box is not None:
             ET.SubElement(body, "geom", name=f"part {k}", type="box", pos=_text(box[0]), size=_text(box[1]), **_OBJECT)
+        elif cylinder is not None:
+            centre_m, size_m = _text(cylinder[0]), _text(cylinder[1:])
+            ET.SubElement(body, "geom", name=f"part {k}", type="cylinder", pos=centre_m, size=size_m, **_OBJECT)
         else:
             # MuJoCo moves a mesh to its own centre and axes and gives the geom the pose that undoes it; mass properties are given above.
-            ET.SubElement(asset, "mesh", name=f"part {k}", vertex=_text(part.vertices_m), inertia="convex")
+            ET.SubElement(asset, "mesh", name=f"part {k}", vertex=_text(vertices_m), inertia="convex")
             ET.SubElement(body, "geom", name=f"part {k}", type="mesh", mesh=f"part {k}", **_OBJECT)
 
 
@@ -169,6 +177,23 @@ def box_of(vertices_m: Float[np.ndarray, "v 3"]) -> tuple[Float[np.ndarray, "3"]
     if len(vertices_m) != 8 or off_corner_m > 1e-7 or len(np.unique(vertices_m > (low + high) / 2, axis=0)) != 8:
         return None
     return (low + high) / 2, (high - low) / 2
+
+
+def cylinder_of(vertices_m: Float[np.ndarray, "v 3"]) -> tuple[Float[np.ndarray, "3"], float, float] | None:
+    """Centre, radius and half height of the upright cylinder that a convex part with these vertices stands for, or None.
+
+    All vertices lie on its two ends, and at least 24 on each rim.
+    """
+    low, high = vertices_m.min(axis=0), vertices_m.max(axis=0)
+    centre_m, half_m = (low + high) / 2, float(high[2] - low[2]) / 2
+    from_axis_m = np.hypot(*(vertices_m[:, :2] - centre_m[:2]).T)
+    radius_m, above_m = float(from_axis_m.max()), vertices_m[:, 2] - centre_m[2]
+    is_on_rim = from_axis_m > radius_m - 1e-6
+    n_on_rims = [int(np.count_nonzero(is_on_rim & (above_m * side > 0.0))) for side in (1.0, -1.0)]
+    is_inside = from_axis_m < 0.9 * radius_m  # the middle of an end, which is no corner of the part
+    if min(n_on_rims) < 24 or np.abs(np.abs(above_m) - half_m).max() > 1e-7 or not np.all(is_on_rim | is_inside):
+        return None
+    return centre_m, radius_m, half_m
 
 
 def _text(values: Sequence[float] | Float[np.ndarray, "..."]) -> str:

@@ -25,7 +25,7 @@ class HandWorldParams:
     dt_s: float = bounded(1 / 240, 1e-4, 1 / 240 + 1e-12)
     steps_per_tick: int = bounded(4, 1, 64)
     # From the moment the hand lets go: what tumbles off opening fingers and lands on an edge hangs on the step as what is held does not.
-    landing_steps_per_tick: int = bounded(16, 1, 256)
+    landing_steps_per_tick: int = bounded(12, 1, 256)
     check_every_steps: int = bounded(8, 1, 240)  # ticks from one look to the next: 33 ms
     solver_iterations: int = bounded(100, 1, 1000)  # Newton converges in 1 to 13
     solver_tolerance: float = bounded(1e-13, 1e-15, 1e-3)
@@ -55,6 +55,7 @@ class HandWorldParams:
         0.00035, 1e-5, 0.002
     )  # the cells stand that far before the rigid block behind them: nine times what an even face yields
 
+    rounds_are_hulls: bool = False  # cans as prisms of their 48 vertices a rim, held and landing: what engines without cylinders have
     pad_friction: float = bounded(0.8, 0.05, 2.0)  # times the object's
     table_friction: float = bounded(0.6, 0.05, 2.0)  # table, obstacles, palm and the bare sides of the fingers
     friction_scale: float = bounded(1.0, 0.5, 2.0)  # of every pair with the object, for the repeatability study

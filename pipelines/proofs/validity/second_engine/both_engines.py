@@ -89,7 +89,14 @@ def with_rigid_pads(setup: ExecutionSetup, steps_per_tick: int) -> ExecutionSetu
 def rigid_pads(params: HandWorldParams, steps_per_tick: int) -> HandWorldParams:
     """Pads that are rigid boxes; the step is not longer than it was."""
     steps_per_tick = max(params.steps_per_tick, steps_per_tick)
-    return dataclasses.replace(params, cells_per_side=0, pad_protrusion_m=BEHIND_FACE_M, steps_per_tick=steps_per_tick)
+    return dataclasses.replace(
+        params,
+        cells_per_side=0,
+        pad_protrusion_m=BEHIND_FACE_M,
+        steps_per_tick=steps_per_tick,
+        landing_steps_per_tick=steps_per_tick,
+        rounds_are_hulls=True,
+    )
 
 
 def touching(object_model: ObjectModel, candidate: Candidate) -> Candidate:

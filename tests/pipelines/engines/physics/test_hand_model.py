@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from objects.object_model import ObjectModel
+from pipelines.engines.physics.hand_bodies import cylinder_of
 from pipelines.engines.physics.hand_model import Carrier, build_model
 from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.engines.physics.hand_world import HandWorld
@@ -27,6 +28,11 @@ def test_parts_mass_and_inertia_are_where_the_object_has_them(object_model: Obje
         R = Rotation.from_quat(geom.quat[[1, 2, 3, 0]]).as_matrix()
         if geom.type[0] == mujoco.mjtGeom.mjGEOM_BOX:
             corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3) * geom.size
+        elif geom.type[0] == mujoco.mjtGeom.mjGEOM_CYLINDER:
+            off_axis_m = np.hypot(*(part.vertices_m - geom.pos)[:, :2].T)
+            assert off_axis_m.max() == pytest.approx(geom.size[0], abs=1e-7)
+            np.testing.assert_allclose(np.abs(part.vertices_m[:, 2] - geom.pos[2]), geom.size[1], atol=1e-7)
+            continue
         else:
             first, n = m.mesh_vertadr[geom.dataid[0]], m.mesh_vertnum[geom.dataid[0]]
             corners = m.mesh_vert[first : first + n].astype(float)
@@ -39,6 +45,20 @@ def test_parts_mass_and_inertia_are_where_the_object_has_them(object_model: Obje
     assert body.mass[0] == pytest.approx(object_model.mass_kg)
     np.testing.assert_allclose(body.ipos, object_model.com_m, atol=1e-12)
     np.testing.assert_allclose(R @ np.diag(body.inertia) @ R.T, object_model.inertia_kg_m2, rtol=1e-9, atol=1e-12)
+
+
+def test_only_what_is_round_all_round_is_a_cylinder() -> None:
+    can, cuboid, mug = MODELS
+    centre_m, radius_m, half_m = cylinder_of(can.parts[0].vertices_m) or pytest.fail("a can is a cylinder")
+    assert (radius_m, half_m) == (pytest.approx(0.033), pytest.approx(0.0575))
+    np.testing.assert_allclose(centre_m, 0.0, atol=1e-9)
+    assert cylinder_of(cuboid.parts[0].vertices_m) is None
+    assert all(cylinder_of(part.vertices_m) is None for part in mug.parts[1:])
+    dented = can.parts[0].vertices_m.copy()
+    dented[1, 0] -= 1e-4
+    assert cylinder_of(dented) is None
+    hulls = build_model(can, (), HandWorldParams(rounds_are_hulls=True), Carrier.REST_FRAME).model
+    assert hulls.mesh_vertnum[hulls.geom("part 0").dataid[0]] == len(can.parts[0].vertices_m)
 
 
 def test_pads_yield_as_stated_whatever_the_object_weighs() -> None:

@@ -59,9 +59,11 @@ def test_what_the_turning_hand_loses_flies_on_a_parabola(object_model: ObjectMod
         for _ in range(60):
             world.step()
         now = (world.object_pose() @ np.array([*object_model.com_m, 1.0]))[:3]
-        # Semi-implicit Euler steps by the speed at a step's end: a fall of n steps is one of n (n + 1).
-        t, h = (handed_over + 60) * PARAMS.dt_s, PARAMS.step_s
-        fallen = start - np.array([0.0, 0.0, 0.5 * GRAVITY_M_S2 * t * (t + h)])
+        # Semi-implicit Euler steps by the speed at a step's end: a fall of n steps is one of n (n + 1). Alone, steps are finer.
+        t, h = handed_over * PARAMS.dt_s, PARAMS.step_s
+        alone_s, fine_s = 60 * PARAMS.dt_s, PARAMS.dt_s / PARAMS.landing_steps_per_tick
+        twice_m = GRAVITY_M_S2 * (t * (t + h) + 2 * t * alone_s + alone_s * (alone_s + fine_s))
+        fallen = start - np.array([0.0, 0.0, 0.5 * twice_m])
         assert np.abs(now - fallen).max() < 1e-4
         assert handed_over <= 4
         assert pose_difference(at, world.object_pose())[1] < 1e-3  # nothing turned it
