@@ -49,7 +49,8 @@ _LIMITS = """\
 - **What the hand holds.** Pick-lift and execution are simulated in MuJoCo in the frame of the hand. A pad is its real face of
   17.5 x 18.5 mm in 3 x 3 cells that yield and hold the torque of even pressure: a lever of 6.9 mm about the jaw axis on a flat face, less
   on a line of contact. A finger presses with 50 N, the middle of what the Franka Hand holds continuously, and moves at 0.05 m/s.
-  Friction coefficients and the stiffness of the pads are assumptions. Force and lever decide which grasps slip: `attempts` has
+  Cans are exact cylinders there; friction (0.32 between pads and printed metal) and the stiffness of the pads are chosen within the
+  bounds of sources that the catalogue and the engine's parameters name. Force, friction and lever decide which grasps slip: `attempts` has
   executions with the lever 15 % longer and shorter. The links of the arm do not collide there; the planner keeps them clear, and the
   path audit checks it in a second engine.
 - **Simulation only.** Rigid bodies, Coulomb friction, convex parts instead of exact meshes. No label was confirmed on a robot.

@@ -6,6 +6,8 @@ import dataclasses
 from pathlib import Path
 
 from assets_def.resources import Benchmark
+from assets_def.trees_assets import TREE_PREDICTIONS
+from model.features import CANDIDATE_GEOMETRY
 from objects.build import build_object
 from objects.catalogue import catalogue_order, load_catalogue
 from pipelines.running.data_root import DataRoot
@@ -69,6 +71,12 @@ def write_made_up_tables(root: DataRoot) -> None:
             for row in candidates
         ],
     }
+    geometry = [
+        {c.name: row["candidate_id"] if c.name == "candidate_id" else 0.5 for c in CANDIDATE_GEOMETRY.columns} for row in candidates
+    ]
+    write_table(CANDIDATE_GEOMETRY, table_from_rows(CANDIDATE_GEOMETRY, geometry), root.tier_table(TIER, CANDIDATE_GEOMETRY.name))
+    scores = [row | {"variant": "trees"} for row in rows["predictions"]]
+    write_table(PREDICTIONS, table_from_rows(PREDICTIONS, scores), root.tier_table(TIER, TREE_PREDICTIONS))
     for schema in (PREDICTIONS, ATTEMPTS, AUDITS):
         write_table(schema, table_from_rows(schema, rows[schema.name]), root.tier_table(TIER, schema.name))
     times = [{"stage": "ranker", "item_id": scene_id, "core_ms": 1.0} for scene_id in SCENES]

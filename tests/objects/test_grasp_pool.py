@@ -28,14 +28,14 @@ OBJECTS = load_recipe("full").objects
 PARAMS = OBJECTS.grasp_pool
 SEED = 7
 # A round, a small round, a narrow and a wide mug, a box with one graspable width and a box with two.
-IDS = ("can_03", "can_06", "mug_10", "mug_02", "cuboid_02", "cuboid_09")
+IDS = ("can_03", "can_06", "mug_10", "mug_02", "cuboid_02", "cuboid_07")
 KINDS = {
     "can_03": {"side", "top", "bottom"},
     "can_06": {"side", "top", "bottom", "caps"},
     "mug_10": {"rim", "handle", "body"},
     "mug_02": {"rim", "handle"},
     "cuboid_02": {"face_x"},
-    "cuboid_09": {"face_x", "face_y"},
+    "cuboid_07": {"face_x", "face_y"},
 }
 
 
@@ -170,7 +170,7 @@ def test_kinds_are_where_the_fingers_are(object_models: dict[str, ObjectModel]) 
         else:
             assert width < 0.03
             assert tcp[0] > 0.03
-    for grasp in object_models["cuboid_09"].grasps:
+    for grasp in object_models["cuboid_07"].grasps:
         assert "xyz"[int(np.abs(grasp.T_object_grasp[:3, 1]).argmax())] == grasp.grasp_kind[-1]
 
 

@@ -55,7 +55,9 @@ class HandWorldParams:
         0.00035, 1e-5, 0.002
     )  # the cells stand that far before the rigid block behind them: nine times what an even face yields
 
-    rounds_are_hulls: bool = False  # cans as prisms of their 48 vertices a rim, held and landing: what engines without cylinders have
+    rounds_are_hulls: bool = bounded(
+        False, 0, 1
+    )  # cans as prisms of their 48 vertices a rim, held and landing: what engines without cylinders have
     pad_friction: float = bounded(0.8, 0.05, 2.0)  # times the object's
     table_friction: float = bounded(0.6, 0.05, 2.0)  # table, obstacles, palm and the bare sides of the fingers
     friction_scale: float = bounded(1.0, 0.5, 2.0)  # of every pair with the object, for the repeatability study

@@ -24,6 +24,9 @@ from pipelines.engines.physics.params import PhysicsParams
 from pipelines.values import GRAVITY_M_S2, Obstacle
 from tables.poses import inverse, matrix_of, pose_of
 
+# Bullet's default, said aloud: it is one number for all worlds of a process, and another world may have left another.
+_BREAKING_M = 0.02
+
 
 class PhysicsWorld:
     """Context manager around one DIRECT client; call `rebuild` before anything else and before every new run.
@@ -71,6 +74,7 @@ class PhysicsWorld:
             erp=p.erp,
             contactERP=p.erp,
             frictionERP=p.erp,
+            contactBreakingThreshold=_BREAKING_M,
             deterministicOverlappingPairs=1,
             physicsClientId=c,
         )

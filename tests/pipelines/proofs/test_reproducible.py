@@ -83,7 +83,7 @@ def test_a_scene_alone_and_a_candidate_alone_are_identical(
 
 def test_a_changed_recipe_is_noticed(inputs: ShardInputs, built: tuple[DataRoot, dict[str, str]], tmp_path: Path) -> None:
     other = tmp_path / "recipe.toml"
-    other.write_text(RECIPE + "[planning]\nrelease_height_m = 0.005\n")
+    other.write_text(RECIPE + "[planning]\nrelease_height_m = 0.006\n")
     comparisons = {c.table: c.is_identical for c in regenerate(SCENES[0], built[0], other, dict(inputs.object_models))}
     assert comparisons["pick_lift"] is True
     assert comparisons["execution_labels"] is False

@@ -7,13 +7,16 @@ import dataclasses
 import numpy as np
 import pyarrow as pa
 import pytest
+from scipy.spatial.transform import Rotation
 
 from objects.object_model import ObjectModel
 from pipelines.codecs import Row
 from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.engines.physics.hand_rollout import hold, move
 from pipelines.engines.physics.hand_world import GRAVITY_M_S2
+from pipelines.engines.physics.params import PhysicsParams
 from pipelines.engines.physics.phases import Phase, pose_difference
+from pipelines.engines.physics.world import PhysicsWorld
 from pipelines.engines.planning.trajectory import MotionParams, time_path
 from pipelines.engines.robot.arm import HOME_Q_RAD, fk
 from pipelines.labels.execution import ExecutionParams, ExecutionSetup
@@ -52,6 +55,27 @@ def test_what_rests_stays_and_weighs_what_it_weighs(object_model: ObjectModel) -
             assert turned_rad < 3e-3
             assert abs(T[2, 3] - world.object_pose()[2, 3]) < 1e-5
             assert world.impulse_n_s("object", "table") == pytest.approx(0.5 * object_model.mass_kg * GRAVITY_M_S2, rel=0.02)
+
+
+def test_worlds_of_scenes_do_not_know_that_it_ran() -> None:
+    """Bullet keeps some numbers once a process, not once a world."""
+
+    def landing() -> bytes:
+        T = MODELS[0].stable_poses[0].T_plane_object.copy()
+        T[:3, 3] += 0.5, 0.0, 0.02
+        T[:3, :3] = Rotation.from_rotvec([0.3, 0.1, 0.0]).as_matrix() @ T[:3, :3]
+        with PhysicsWorld(MODELS[0], (), PhysicsParams()) as world:
+            world.rebuild("landing")
+            world.set_object(T)
+            for _ in range(120):
+                world.step()
+            return world.object_pose().tobytes()
+
+    before = landing()
+    with BulletHandWorld(MODELS[0], (), PARAMS) as world:
+        _alone(world, MODELS[0].stable_poses[0].T_plane_object)
+        world.step()
+    assert landing() == before
 
 
 @pytest.mark.parametrize(
