@@ -75,7 +75,7 @@ def add_environment(world: ET.Element, object_model: ObjectModel, obstacles: Seq
         )
 
 
-def add_object(asset: ET.Element, world: ET.Element, object_model: ObjectModel, params: HandWorldParams) -> None:
+def add_object(asset: ET.Element, world: ET.Element, object_model: ObjectModel, *, are_rounds_hulls: bool = False) -> None:
     """A free body of the exact convex parts, with the catalogue's mass, centre of mass and inertia.
 
     A can, a prism of 48 sides elsewhere, is a cylinder here: a released prism rolls by whole facets of 4 mm, and pulled across its axis it
@@ -93,7 +93,7 @@ def add_object(asset: ET.Element, world: ET.Element, object_model: ObjectModel, 
     )
     for k, part in enumerate(object_model.parts):
         vertices_m = part.vertices_m
-        box, cylinder = box_of(vertices_m), None if params.rounds_are_hulls else cylinder_of(vertices_m)
+        box, cylinder = box_of(vertices_m), None if are_rounds_hulls else cylinder_of(vertices_m)
         if box is not None:
             ET.SubElement(body, "geom", name=f"part {k}", type="box", pos=_text(box[0]), size=_text(box[1]), **_OBJECT)
         elif cylinder is not None:

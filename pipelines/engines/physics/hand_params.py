@@ -51,13 +51,11 @@ class HandWorldParams:
     pad_relaxation_s: float = bounded(0.010, 1e-3, 0.1)
     cells_per_side: int = bounded(3, 0, 5)  # a pad's face is that many by that many cells that yield on their own
     pad_lever_scale: float = bounded(1.0, 0.85, 1.15)  # of the lever that even pressure gives, for the repeatability study
-    pad_protrusion_m: float = bounded(
-        0.00035, 1e-5, 0.002
-    )  # the cells stand that far before the rigid block behind them: nine times what an even face yields
+    # The cells stand that far before the rigid block behind them: nine times what an even face yields.
+    pad_protrusion_m: float = bounded(0.00035, 1e-5, 0.002)
+    # Cans that are let go as the prisms of 48 sides that they are in engines without cylinders, for a comparison with one.
+    landing_rounds_are_hulls: bool = bounded(False, 0, 1)
 
-    rounds_are_hulls: bool = bounded(
-        False, 0, 1
-    )  # cans as prisms of their 48 vertices a rim, held and landing: what engines without cylinders have
     pad_friction: float = bounded(0.8, 0.05, 2.0)  # times the object's
     table_friction: float = bounded(0.6, 0.05, 2.0)  # table, obstacles, palm and the bare sides of the fingers
     friction_scale: float = bounded(1.0, 0.5, 2.0)  # of every pair with the object, for the repeatability study
