@@ -125,7 +125,7 @@ def _xml(object_model: ObjectModel, obstacles: Sequence[Obstacle], params: HandW
     asset, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
     add_environment(world, object_model, obstacles, params)
     is_let_go = carrier in (Carrier.LANDING, Carrier.NO_HAND)
-    add_object(asset, world, object_model, are_rounds_hulls=params.landing_rounds_are_hulls and is_let_go)
+    add_object(asset, world, object_model, are_rounds_hulls=params.rounds_are_hulls and is_let_go)
     sensors = ET.SubElement(root, "sensor")
     history = str(carrier.steps_per_tick(params))
     for name in fixed_bodies(obstacles):

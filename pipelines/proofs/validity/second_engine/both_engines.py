@@ -95,7 +95,7 @@ def rigid_pads(params: HandWorldParams, steps_per_tick: int) -> HandWorldParams:
         pad_protrusion_m=BEHIND_FACE_M,
         steps_per_tick=steps_per_tick,
         landing_steps_per_tick=steps_per_tick,
-        landing_rounds_are_hulls=True,
+        rounds_are_hulls=True,
     )
 
 

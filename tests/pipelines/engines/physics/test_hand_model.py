@@ -57,7 +57,7 @@ def test_only_what_is_round_all_round_is_a_cylinder() -> None:
     dented = can.parts[0].vertices_m.copy()
     dented[1, 0] -= 1e-4
     assert cylinder_of(dented) is None
-    hulls = build_model(can, (), HandWorldParams(landing_rounds_are_hulls=True), Carrier.LANDING).model
+    hulls = build_model(can, (), HandWorldParams(rounds_are_hulls=True), Carrier.LANDING).model
     assert hulls.mesh_vertnum[hulls.geom("part 0").dataid[0]] == len(can.parts[0].vertices_m)
 
 
