@@ -63,7 +63,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $@
 
-knobs: $(INSTALLED)  ## what each knob of the recipe moves; writes reports/out/knobs.md (about half an hour, resumable)
+knobs: $(INSTALLED)  ## what each knob of the recipe moves; writes reports/out/knobs.md (about 40 minutes, resumable)
 	$(PY) -m assets_def.knobs --workers $(WORKERS)
 
 clean:  ## generated data and reports, not the environment

@@ -164,7 +164,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for knob in KNOBS:
         root = build(knob, chosen.folder, chosen.workers)
         rows.append(row(knob, root, seed))
-        CONSOLE.print(" | ".join(rows[-1]), markup=False)
+        CONSOLE.print(" | ".join(rows[-1]), markup=False, soft_wrap=True)
     text = table(HEADER, rows)
     path = REPOSITORY / "reports" / "out" / "knobs.md"
     write_text_atomically(
