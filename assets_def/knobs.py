@@ -33,7 +33,7 @@ from reports.load import Task, candidate_frame, group_frame
 from reports.metrics import coverage
 from reports.policies import FULL_PLANNER, IK_AND_GRIPPER, IK_ONLY, RANDOM
 from reports.ranking import rank_groups, timing_frame
-from splits.markdown import table
+from splits.markdown import percent, table
 from splits.scene_groups import SplitParams, split_rows
 from tables.schemas import ALL_SCHEMAS, SPLITS
 from tables.store import read_tables, table_from_rows, write_text_atomically
@@ -144,9 +144,9 @@ def row(knob: Knob, root: DataRoot, seed: int, shards: Sequence[str] = SHARDS) -
     ranked = {(policy, task): rank_groups(frame, policy, task, untimed) for policy in POLICIES for task in Task}
     covered = [coverage(group_frame(tables, task), ranked[RANDOM, task].ranks, task) for task in Task]
     ladder = [" / ".join(_percent(ranked[policy, task].s[1]) for task in Task) for policy in POLICIES]
-    failures = 100.0 * (1.0 - executed["success"].mean())  # type: ignore[operator]
-    planned = 100.0 * frame["y_plan"].mean()  # type: ignore[operator]
-    return [knob.words, knob.change, f"{planned:.0f} %", f"{failures:.0f} %", " / ".join(map(_percent, covered)) + " %", *ladder]
+    failures = 1.0 - float(executed["success"].mean())  # type: ignore[arg-type]
+    planned = float(frame["y_plan"].mean())  # type: ignore[arg-type]
+    return [knob.words, knob.change, percent(planned, 0), percent(failures, 0), " / ".join(map(_percent, covered)) + " %", *ladder]
 
 
 def _percent(estimate: Any) -> str:

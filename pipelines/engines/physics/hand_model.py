@@ -40,9 +40,14 @@ class Carrier(StrEnum):
         """Whether the hand slides in a frame at rest."""
         return self in (Carrier.REST_FRAME, Carrier.LANDING)
 
+    @property
+    def is_let_go(self) -> bool:
+        """Whether the hand lets the object go, or has left it."""
+        return self in (Carrier.LANDING, Carrier.NO_HAND)
+
     def steps_per_tick(self, params: HandWorldParams) -> int:
         """Contact steps of a tick."""
-        return params.landing_steps_per_tick if self in (Carrier.LANDING, Carrier.NO_HAND) else params.steps_per_tick
+        return params.landing_steps_per_tick if self.is_let_go else params.steps_per_tick
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,8 +129,7 @@ def _xml(object_model: ObjectModel, obstacles: Sequence[Obstacle], params: HandW
     ET.SubElement(root, "size", memory="32M")
     asset, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
     add_environment(world, object_model, obstacles, params)
-    is_let_go = carrier in (Carrier.LANDING, Carrier.NO_HAND)
-    add_object(asset, world, object_model, are_rounds_hulls=params.rounds_are_hulls and is_let_go)
+    add_object(asset, world, object_model, are_rounds_hulls=params.rounds_are_hulls and carrier.is_let_go)
     sensors = ET.SubElement(root, "sensor")
     history = str(carrier.steps_per_tick(params))
     for name in fixed_bodies(obstacles):

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from objects.object_model import ObjectModel
+from pipelines.engines.physics.errors import PhysicsError
 from pipelines.engines.planning.trajectory import Trajectory
 from pipelines.engines.robot.arm import fk
 from tables.poses import inverse, pose_of, rotation_angle_rad
@@ -81,6 +82,17 @@ def hand_motion(trajectory: Trajectory, tick_s: float) -> HandMotion:
         velocity_gain_1_s=2.0 * spin,
         is_turning=bool(rotation_angle_rad(R[:1], R).max() > TURNING_RAD) if len(R) > 1 else False,
     )
+
+
+def check_start(label: str, motion: HandMotion, T_base_hand: Float[np.ndarray, "4 4"]) -> None:
+    """See that a motion starts where the hand is.
+
+    Raises:
+        PhysicsError: it starts elsewhere; names the run.
+    """
+    miss = float(np.abs(motion.T_base_tcp[0] - T_base_hand).max())
+    if miss > 1e-4:
+        raise PhysicsError(f"{label}: a motion starts {miss:.2g} (m or sine) from where the hand is, must be at most 1e-4")
 
 
 def inertia_load(

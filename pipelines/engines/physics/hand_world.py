@@ -26,7 +26,7 @@ from pipelines.engines.physics.errors import PhysicsError
 from pipelines.engines.physics.finger_drives import FingerDrives
 from pipelines.engines.physics.hand_bodies import FINGERS, HAND_MASS_KG, fixed_bodies
 from pipelines.engines.physics.hand_model import Carrier
-from pipelines.engines.physics.hand_motion import HandMotion, cross, inertia_load
+from pipelines.engines.physics.hand_motion import HandMotion, check_start, cross, inertia_load
 from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.engines.physics.hand_state import GRAVITY, HandState
 from pipelines.engines.robot.arm import fk
@@ -161,9 +161,7 @@ class HandWorld:
         Raises:
             PhysicsError: it starts elsewhere.
         """
-        miss = float(np.abs(motion.T_base_tcp[0] - self._state.T_base_hand).max())
-        if miss > 1e-4:
-            raise PhysicsError(f"{self._label}: a motion starts {miss:.2g} (m or sine) from where the hand is, must be at most 1e-4")
+        check_start(self._label, motion, self._state.T_base_hand)
         if motion.is_turning:
             self._change(Carrier.HAND_FRAME)
         elif not self._state.at.carrier.is_sliding:

@@ -20,7 +20,7 @@ from pipelines.engines.physics.errors import PhysicsError
 from pipelines.engines.physics.finger_drives import FingerDrives
 from pipelines.engines.physics.hand_bodies import FINGERS, fixed_bodies
 from pipelines.engines.physics.hand_model import Carrier
-from pipelines.engines.physics.hand_motion import HandMotion, cross, inertia_load
+from pipelines.engines.physics.hand_motion import HandMotion, check_start, cross, inertia_load
 from pipelines.engines.physics.hand_params import HandWorldParams
 from pipelines.engines.physics.hand_world import GRAVITY_M_S2, LOST_TICKS
 from pipelines.engines.planning.bodies import bodies_meet, hand_body, object_body
@@ -126,9 +126,7 @@ class BulletHandWorld:
         Raises:
             PhysicsError: it starts elsewhere.
         """
-        miss = float(np.abs(motion.T_base_tcp[0] - self._state.T_base_hand).max())
-        if miss > 1e-4:
-            raise PhysicsError(f"{self._label}: a motion starts {miss:.2g} (m or sine) from where the hand is, must be at most 1e-4")
+        check_start(self._label, motion, self._state.T_base_hand)
         self._state.change(Carrier.HAND_FRAME if motion.is_turning else Carrier.REST_FRAME)
 
     def step_along(self, motion: HandMotion, k: int, q: Float[np.ndarray, "7"]) -> None:
