@@ -112,9 +112,6 @@ _AGREEMENTS = (
     # The lift that is executed is the one that was admitted, and what is held clears the obstacles.
     ("pick_lift.lift_m", "==", "grasp_admission.lift_m"),
     ("pick_lift.lift_m", ">=", "scene_sampling.obstacle_size_m[2]"),
-    # A slip is a slip, whether it happens in the lift or on the way.
-    ("execution.slipped_m", "==", "pick_lift.max_slip_m"),
-    ("execution.slipped_rad", "==", "pick_lift.max_slip_rad"),
     # A pool has no grasp that admission refuses whatever the scene, and even the smallest as many as a scene asks for.
     ("objects.grasp_pool.palm_clearance_m", ">=", "grasp_admission.palm_clearance_m"),
     ("objects.grasp_pool.table_clearance_m", ">=", "grasp_admission.table_clearance_m"),

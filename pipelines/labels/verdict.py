@@ -38,8 +38,9 @@ class ExecutionParams:
     position_tolerance_m: float = bounded(0.0075, 1e-4, 0.5)
     rotation_tolerance_rad: float = bounded(0.08726646259971647, 0.001, math.pi)
     dropped_m: float = bounded(0.05, 0.001, 1.0)  # further from where the hand held it than a pad is long
-    slipped_m: float = bounded(0.02, 1e-4, 0.5)  # the bounds of the pick-lift check
-    slipped_rad: float = bounded(0.2617993877991494, 0.001, math.pi)
+    # Held means held: what loads below the pads' limit never do (HAND_WORLD.md, "What a slip is").
+    slipped_m: float = bounded(0.002, 1e-4, 0.5)
+    slipped_rad: float = bounded(0.03490658503988659, 0.001, math.pi)  # 2 degrees
     collision_impulse_n_s: float = bounded(0.2, 0.001, 100.0)  # a 0.35 kg can stopped from 0.6 m/s; brushing past is less
     dragged_m: float = bounded(0.00375, 1e-5, 0.5)  # what the retreat may move the object by
     # 15 degrees of tilt: beyond tolerance, and no face of a box is that close to another.
@@ -187,18 +188,25 @@ def judge(candidate: Candidate, monitor: Monitor, end: Ending) -> Row:
     }
 
 
+def is_slip(slip_m: float, slip_rad: float, params: ExecutionParams) -> bool:
+    """Whether an object that moved this far in the hand was not held."""
+    return slip_m > params.slipped_m or slip_rad > params.slipped_rad
+
+
 def _status(monitor: Monitor, end: Ending, margin: float) -> ExecStatus:
-    """A drop, a protective stop or a collision fails whatever the end; every other status says why the end is not valid."""
+    """A drop, a protective stop or a collision fails whatever the end; what ends as it should fails if it slipped on the way.
+
+    Every other status says why the end is not valid, whether it slipped or not: transport_slip_m and _rad say that of all.
+    """
     world, params, is_held = monitor.world, monitor.params, not monitor.is_dropped
     is_collided = monitor.collision_impulse_n_s() > params.collision_impulse_n_s
     if is_held and not world.is_stopped and not is_collided and end.is_settled and margin >= 0.0:
-        return ExecStatus.SUCCESS
+        return ExecStatus.SLIPPED if is_slip(monitor.slip_m, monitor.slip_rad, params) else ExecStatus.SUCCESS
     (x0, x1), (y0, y1) = world.params.table_x_m, world.params.table_y_m
     x, y, z = end.T_final[:3, 3]
     reasons = (
         (not is_held, ExecStatus.DROPPED),
         (world.is_stopped, ExecStatus.STOPPED),
-        (monitor.slip_m > params.slipped_m or monitor.slip_rad > params.slipped_rad, ExecStatus.SLIPPED),
         (is_collided, ExecStatus.COLLIDED),
         (not (x0 < x < x1 and y0 < y < y1 and z > 0.0), ExecStatus.OFF_TABLE),
         (end.drag_m is not None and end.drag_m > params.dragged_m and monitor.is_touched_in_retreat, ExecStatus.DRAGGED),

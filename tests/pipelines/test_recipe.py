@@ -113,8 +113,6 @@ def test_a_bad_recipe_is_one_line_with_key_value_and_bound(tmp_path: Path, conte
             "[scene_sampling]\nobstacle_size_m = [0.1, 0.1, 0.2]\n",
             "pick_lift.lift_m = 0.12, must be at least scene_sampling.obstacle_size_m[2] = 0.2",
         ),
-        ("[execution]\nslipped_m = 0.03\n", "execution.slipped_m = 0.03, must be equal to pick_lift.max_slip_m = 0.02"),
-        ("[pick_lift]\nmax_slip_rad = 0.3\n", "execution.slipped_rad = 0.2617993877991494, must be equal to pick_lift.max_slip_rad = 0.3"),
         (
             "[objects.grasp_pool]\npalm_clearance_m = 0.001\n",
             "objects.grasp_pool.palm_clearance_m = 0.001, must be at least grasp_admission.palm_clearance_m = 0.002",

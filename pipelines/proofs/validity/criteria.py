@@ -58,7 +58,7 @@ CRITERIA = (
     _must(_TWIST, "torsion_lever_ratio_min", "n_torsion", 0.85, 1.15, "torque at which it turns, over 2 mu F x lever: the least"),
     _must(_TWIST, "torsion_lever_ratio_max", "n_torsion", 0.85, 1.15, "the most"),
     _must(_SLIP, "transport_slip_mm_max", "n_transport_slip", None, 0.8, "millimetres that a load moves which sticks by Coulomb"),
-    _must(_LIGHT, "light_load_drops", "n_light_load", 0.0, 0.0, "nothing falls that the grip holds twice over"),
+    _must(_LIGHT, "light_load_drops", "n_light_load", 0.0, 0.0, "nothing falls or slips that the grip holds twice over"),
     _must(_AUC, "cuboid_auc", "n_cuboid_auc", 0.9, None, "theory without an engine foretells success (area under ROC)"),
     _must("half the step", "half_step_flip", "n_half_step", None, 0.02, "labels do not hang on the time step"),
     _must(_FRICTION, "friction_flip", "n_friction", None, 0.03, "labels hang little on a number that nobody knows better"),
@@ -75,7 +75,7 @@ BESIDE = (
     _beside(_HOLD, "hold_objects_short", "n_hold_objects", "objects with fewer grasps that hold than were asked for"),
     _beside(_MORE_HOLD, "hold_creep_any_direction_mm_median", "n_hold_creep_any_direction", "millimetres where gravity pulls another way"),
     _beside(_MORE_HOLD, "hold_creep_any_direction_mm_max", "n_hold_creep_any_direction", "the worst of these grasps"),
-    _beside(_AUC, "cuboid_held_auc", "n_cuboid_auc", "held to the release (neither dropped nor slipped) instead of success"),
+    _beside(_AUC, "cuboid_held_auc", "n_cuboid_auc", "held to the release (neither dropped nor slipped, however it ended) instead of success"),
     _beside(
         "grips askew, cans and cuboids", "preload_ratio_max", "n_loads", "friction a grip takes by itself, over mu F: Coulomb allows 1"
     ),

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from scipy.stats import rankdata
 
 from pipelines.codecs import Row
+from pipelines.labels.verdict import is_slip
 from pipelines.proofs.validity.contact_patch import contact_patch
 from pipelines.proofs.validity.demand import capacity_n, carried, demand_ratio, demand_ratio_even_pads
 from pipelines.proofs.validity.study import Numbers, Study, StudyUnit
@@ -19,7 +20,6 @@ from tables.vocabulary import Category, ExecStatus
 # Shares of the capacity below which an object must not move, and must not be lost.
 STICKS, HOLDS = 0.25, 0.5
 CATEGORIES = (Category.CAN.value, Category.CUBOID.value)
-LOST = (ExecStatus.DROPPED.value, ExecStatus.SLIPPED.value)
 
 
 def loads_study(subject: Subject) -> Study:
@@ -32,11 +32,17 @@ def loads_study(subject: Subject) -> Study:
 
 
 def loads_row(case: Case, stored: Row) -> Row:
-    """Demand ratios of one candidate beside its stored labels; the first None where a pad's face does not meet the object."""
+    """Demand ratios of one candidate beside its stored labels; the first None where a pad's face does not meet the object.
+
+    Lost is what fell on the way or slipped beyond the verdict's bound, however it ended.
+    """
     physics, object_model, grasp = case.recipe.hand_physics, case.object_model, case.candidate.grasp
     hands = carried(case.motion(), case.recipe.motion, physics.dt_s)
     patch = contact_patch(object_model, grasp.T_tcp_object, physics)
-    row = {**stored, "demand_even_pads": demand_ratio_even_pads(object_model, grasp, hands, physics), "demand": None, "preload": None}
+    is_lost = stored["exec_status"] == ExecStatus.DROPPED.value or is_slip(
+        stored["transport_slip_m"], stored["transport_slip_rad"], case.recipe.execution
+    )
+    row = {**stored, "is_lost": is_lost, "demand_even_pads": demand_ratio_even_pads(object_model, grasp, hands, physics), "demand": None, "preload": None}
     if patch is not None:
         row["demand"] = demand_ratio(patch, object_model, grasp, hands, physics)
         row["preload"] = float(np.linalg.norm(patch.preload_n)) / (capacity_n(object_model, physics) / 2)
@@ -50,7 +56,7 @@ def loads_summary(rows: Sequence[Row]) -> Numbers:
     """
     cuboids = [row for row in rows if row["category"] == Category.CUBOID.value]
     preloads = [row["preload"] for row in rows if row["preload"] is not None]
-    held = np.array([row["exec_status"] not in LOST for row in cuboids], dtype=bool)
+    held = np.array([not row["is_lost"] for row in cuboids], dtype=bool)
     return {
         **_by_load(rows, "demand", ""),
         **_by_load(rows, "demand_even_pads", "_even_pads"),
@@ -69,7 +75,7 @@ def _by_load(rows: Sequence[Row], ratio: str, suffix: str) -> dict[str, float | 
     return {
         f"transport_slip{suffix}_mm_max": max((1e3 * row["transport_slip_m"] for row in sticking), default=None),
         f"n_transport_slip{suffix}": float(len(sticking)),
-        f"light_load_drops{suffix}": float(sum(row["exec_status"] == ExecStatus.DROPPED.value for row in light)) if light else None,
+        f"light_load_drops{suffix}": float(sum(row["is_lost"] for row in light)) if light else None,
         f"n_light_load{suffix}": float(len(light)),
     }
 

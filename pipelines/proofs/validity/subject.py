@@ -65,7 +65,7 @@ class Subject:
 
     def executed(self, categories: Iterable[str] | None = None) -> list[Row]:
         """Label columns of the executed candidates of some categories, or of all."""
-        columns = ["candidate_id", "category", "exec_status", "y_pipe", "transport_slip_m"]
+        columns = ["candidate_id", "category", "exec_status", "y_pipe", "transport_slip_m", "transport_slip_rad"]
         wanted = None if categories is None else set(categories)
         rows = self.candidates.select(columns).to_pylist()
         return [row for row in rows if row["exec_status"] is not None and (wanted is None or row["category"] in wanted)]

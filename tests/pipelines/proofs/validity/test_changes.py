@@ -110,8 +110,8 @@ def test_light_loads_stay_where_they_are() -> None:
     for name in ("can", "cuboid"):
         for case in cases(name, 3):
             label = flips_row(case, "success", Change.NONE)
-            slip_m = label["slip_mm"] / 1e3
-            stored = {"exec_status": label["status"], "y_pipe": label["is_success"], "transport_slip_m": slip_m, "category": name}
+            stored = {"exec_status": label["status"], "y_pipe": label["is_success"], "category": name}
+            stored |= {"transport_slip_m": label["slip_mm"] / 1e3, "transport_slip_rad": 0.0}
             rows.append(loads_row(case, {"candidate_id": label["candidate_id"], **stored}))
     assert all(0.0 < row["demand"] < 1.0 and row["preload"] < 1.0 for row in rows)
     numbers = loads_summary(rows)
@@ -124,16 +124,17 @@ def test_light_loads_stay_where_they_are() -> None:
 
 def load(demand: float | None, status: str = "success", slip_mm: float = 0.0, category: str = "cuboid") -> Row:
     row = {"candidate_id": "x", "category": category, "exec_status": status, "y_pipe": status == "success", "preload": 0.1}
+    row["is_lost"] = status == "dropped_in_transport" or slip_mm > 2.0
     return {**row, "transport_slip_m": slip_mm / 1e3, "demand": demand, "demand_even_pads": 0.2}
 
 
 def test_loads_are_told_apart_by_their_share_of_the_capacity() -> None:
     rows = [load(0.1, slip_mm=0.3), load(0.25, slip_mm=0.6), load(0.26, slip_mm=5.0), load(0.4, "dropped_in_transport")]
-    rows += [load(0.45, "slipped_in_hand"), load(0.6, "dropped_in_transport", 60.0), load(None, "dropped_in_transport", 70.0)]
+    rows += [load(0.45, "slipped_in_hand", 2.5), load(0.6, "dropped_in_transport", 60.0), load(None, "dropped_in_transport", 70.0)]
     rows += [load(0.2, "off_target", 0.7, category="can")]
     numbers = loads_summary(rows)
     assert (numbers["transport_slip_mm_max"], numbers["n_transport_slip"]) == (pytest.approx(0.7), 3.0)
-    assert (numbers["light_load_drops"], numbers["n_light_load"]) == (1.0, 6.0)
+    assert (numbers["light_load_drops"], numbers["n_light_load"]) == (3.0, 6.0)
     # Good are the three smallest of seven cuboids.
     assert (numbers["cuboid_auc"], numbers["n_cuboid_auc"]) == (1.0, 7.0)
     assert numbers["transport_slip_even_pads_mm_max"] == pytest.approx(70.0)
