@@ -58,12 +58,12 @@ class GraspPoolParams:
     # Hand to table: what admission demands, and a millimetre.
     table_clearance_m: float = 0.003
     # How far along the approach the contacts lie from the middle of the pads (tips are 9.5 mm beyond it). See pipelines/recipe.toml.
-    depths_m: tuple[float, ...] = (-0.007, -0.0035, 0.0, 0.0035, 0.007)
+    depths_m: tuple[float, ...] = (-0.0035, -0.00175, 0.0, 0.00175, 0.0035)
     n_approach_turns: int = 24
     # Torque of the weight about the jaw line when the object is lifted off the table, for objects of TRIED_FRICTION: pads that press 50 N
     # evenly turn at 2 x 0.8 x 0.8 x 50 N x 6.9 mm = 0.44 N m, and where they touch a can along a line at 0.7 of it (4.8 mm of lever).
     # See pipelines/recipe.toml.
-    max_torque_n_m: float = 0.38
+    max_torque_n_m: float = 0.22
     line_contact_share: float = 0.70
     # Pose distance: 20 mm count as much as 30 degrees; a gripper turned half round about its approach is the same grasp here.
     length_scale_m: float = 0.02
