@@ -43,7 +43,7 @@ from tables.schemas import ALL_SCHEMAS, CANDIDATES, GRASPS, OBJECT_TABLES, SPLIT
 from tables.store import read_table, read_tables, table_from_rows
 
 RELEASE_CODE_VERSION = "1"  # of the joined tables and the splits
-FOLDER_CODE_VERSION = "3"  # of what stands around the tables in a release folder
+FOLDER_CODE_VERSION = "4"  # of what stands around the tables in a release folder
 
 # Released as they are; `candidates` and `grasps` replace the four tables they are joined from.
 _SHARD_TABLES = ("scenes", "scene_attempts", "obstacles", "targets", "scene_points", "plans", "policy_features")
@@ -103,7 +103,7 @@ def _joined_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult
 
     def errors() -> list[str]:
         tables = {name: _over_shards(benchmark, tier, name) for name in _SHARD_TABLES} | _of_tier(benchmark, tier, "candidates", "grasps")
-        return broken_laws(tables, **_tolerances(benchmark.recipe_of_tier(tier)))
+        return broken_laws(tables, benchmark.recipe_of_tier(tier).execution.tolerances)
 
     yield consistency_check("candidates", errors)
 
@@ -208,7 +208,7 @@ def _write_release(benchmark: Benchmark, tier: str, directory: Path) -> list[Pat
         tables |= _of_tier(benchmark, tier, "attempts")
     recipe = benchmark.recipe_of_tier(tier)
     provenance = {**_provenance(recipe), "git_commit": git_commit()}
-    write_release(tables, directory, tier, DATA_VERSION, provenance, **_tolerances(recipe))
+    write_release(tables, directory, tier, DATA_VERSION, provenance, recipe.execution.tolerances)
     return [path for path in directory.iterdir() if path.is_file()]
 
 
@@ -222,7 +222,7 @@ def _release_products(benchmark: Benchmark, tier: str) -> tuple[FilesProduct]:
         **tier_hashes(benchmark, tier, ("candidates", "grasps", "splits")),
         **attempts_hash(benchmark, tier),
         "timings": timings_hash(benchmark, tier),
-        **{name: str(value) for name, value in _tolerances(recipe).items()},
+        **{f"tolerances.{name}": str(value) for name, value in asdict(recipe.execution.tolerances).items()},
         **_provenance(recipe),
     }
     return (FilesProduct(benchmark.root.tier_table(tier, "release").with_suffix(".made_from.json"), made_from),)
@@ -257,11 +257,6 @@ def _of_tier(benchmark: Benchmark, tier: str, *names: str) -> dict[str, pa.Table
 
 def _universe(benchmark: Benchmark, tier: str) -> list[UniverseScene]:
     return [(a.scene_id, a.category, a.n_obstacles) for a in benchmark.universe(family_of_tier(tier))]
-
-
-def _tolerances(recipe: Recipe) -> dict[str, float]:
-    execution = recipe.execution
-    return {"position_tolerance_m": execution.position_tolerance_m, "rotation_tolerance_rad": execution.rotation_tolerance_rad}
 
 
 def _provenance(recipe: Recipe) -> dict[str, str]:

@@ -157,17 +157,18 @@ def execution_labels_law(tables: Tables, promise: Promise) -> list[str]:
 
 def _execution_rules(promise: Promise) -> list[tuple[str, pl.Expr, list[str]]]:
     """(what must hold, rows that break it, columns that show it)."""
-    success, status = pl.col("y_pipe").fill_null(False), pl.col("exec_status")
+    tolerances, success, status = promise.tolerances, pl.col("y_pipe").fill_null(False), pl.col("exec_status")
     position, rotation, margin = pl.col("final_position_error_m"), pl.col("final_rotation_error_rad"), pl.col("tolerance_margin")
-    expected = 1.0 - pl.max_horizontal(position / promise.position_tolerance_m, rotation / promise.rotation_tolerance_rad)
+    expected = 1.0 - pl.max_horizontal(position / tolerances.position_m, rotation / tolerances.rotation_rad)
+    slips, is_slipped = ["transport_slip_m", "transport_slip_rad"], status == ExecStatus.SLIPPED.value
+    is_slip = (pl.col("transport_slip_m") > tolerances.slip_m) | (pl.col("transport_slip_rad") > tolerances.slip_rad)
     errors = ["final_position_error_m", "final_rotation_error_rad"]
     always = [
         "y_pipe",
         "exec_status",
         *errors,
         "tolerance_margin",
-        "transport_slip_m",
-        "transport_slip_rad",
+        *slips,
         "n_physics_steps",
         "final_x_m",
     ]
@@ -175,12 +176,29 @@ def _execution_rules(promise: Promise) -> list[tuple[str, pl.Expr, list[str]]]:
         *((f"{name} is there for every execution", pl.col(name).is_null(), [name]) for name in always),
         ("y_pipe says the same as exec_status", success != (status == ExecStatus.SUCCESS.value), ["y_pipe", "exec_status"]),
         (
-            f"tolerance_margin is 1 minus the larger of position error / {promise.position_tolerance_m:g} m"
-            f" and rotation error / {promise.rotation_tolerance_rad:.6g} rad",
+            f"tolerance_margin is 1 minus the larger of position error / {tolerances.position_m:g} m"
+            f" and rotation error / {tolerances.rotation_rad:.6g} rad",
             (margin - expected).abs() > _MARGIN_ROUNDING * (1.0 + expected.abs()),
             ["tolerance_margin", *errors],
         ),
         ("a success has tolerance_margin of at least 0", success & (margin < 0.0), ["y_pipe", "tolerance_margin"]),
+        (
+            f"a success has transport_slip_m of at most {tolerances.slip_m:g} m and transport_slip_rad of at most"
+            f" {tolerances.slip_rad:.6g} rad",
+            success & is_slip,
+            ["y_pipe", *slips],
+        ),
+        (
+            f"{ExecStatus.SLIPPED.value} has tolerance_margin of at least 0",
+            is_slipped & (margin < 0.0),
+            ["exec_status", "tolerance_margin"],
+        ),
+        (
+            f"{ExecStatus.SLIPPED.value} has transport_slip_m above {tolerances.slip_m:g} m or transport_slip_rad above"
+            f" {tolerances.slip_rad:.6g} rad",
+            is_slipped & ~is_slip,
+            ["exec_status", *slips],
+        ),
         (
             f"{ExecStatus.OFF_TARGET.value} has tolerance_margin below 0",
             (status == ExecStatus.OFF_TARGET.value) & (margin >= 0.0),

@@ -82,8 +82,7 @@ class Recipe:
 
     def promise(self, allocations: Iterable[SceneAllocation]) -> Promise:
         """What tables of scenes with these allocations must hold."""
-        execution = self.execution
-        return Promise(tuple(allocations), self.scene_sampling.n_targets, execution.position_tolerance_m, execution.rotation_tolerance_rad)
+        return Promise(tuple(allocations), self.scene_sampling.n_targets, self.execution.tolerances)
 
     def sections(self, *kinds: type) -> tuple[Any, ...]:
         """The sections of some types, in their order; raises RecipeError for a type that is no section."""

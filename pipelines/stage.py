@@ -17,6 +17,7 @@ from objects.object_model import ObjectModel
 from pipelines.codecs import Row
 from pipelines.values import AdmittedGrasp, Known, LiftedGrasp, Scene, SceneAllocation
 from tables.columns import TableSchema
+from tables.tolerances import Tolerances
 
 ObjectTable = Literal["objects", "object_meshes", "object_parts", "stable_poses", "grasp_pool"]
 
@@ -78,8 +79,7 @@ class Promise:
 
     allocations: tuple[SceneAllocation, ...]
     n_targets: int
-    position_tolerance_m: float
-    rotation_tolerance_rad: float
+    tolerances: Tolerances
 
 
 # Tables that the stage makes and reads, by name; one sentence for every rule that is broken.

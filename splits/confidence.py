@@ -26,7 +26,7 @@ _KINDS = {
 
 _ABOUT = """`y_pipe` is what one simulation said. Two columns say how near it is to saying otherwise: `tolerance_margin`, 1 minus the larger
 error over its tolerance, whose distance from 0 is the distance from the tolerance; and `transport_slip_m`, how far the object moved in the
-hand, because what slips may fall or hold far from any tolerance."""
+hand, because what slips may fall or hold far from any tolerance, and because a success has a bound on slip too."""
 
 _WITHOUT = """This release holds no `attempts`. The repeatability report that `make dataset` writes beside it says how often labels flip,
 by the same two columns."""

@@ -64,8 +64,14 @@ _LIMITS = """\
 
 _INTRODUCTION = """Grasp-conditioned placement: every row of `candidates` pairs a grasp with a placement target of one scene and says
 whether a motion planner found a complete placement motion (`y_plan`) and whether that motion, executed in physics, ended in a valid final
-pose (`y_pipe`). A candidate is a success when both hold. The task is to order the candidates of a group, before anything is planned, so
-that a success comes first."""
+pose without a slip in the hand (`y_pipe`). A candidate is a success when both hold. The task is to order the candidates of a group, before
+anything is planned, so that a success comes first."""
+
+_ABOUT_OUTCOMES = """An executed placement ends *valid* when nothing was dropped or driven into something, no protective stop ended it, and
+the object came to rest within the position and rotation of `tolerances`, modulo its symmetry. A valid end is a `success` when the object
+moved in the hand by no more than the slip of `tolerances` before release, and `slipped_in_hand` when it moved more; every other status
+says why the end is not valid, whether the object slipped or not. The label of the paper cited below, a valid end whatever the slip, is
+`exec_status` in (`success`, `slipped_in_hand`)."""
 
 _ABOUT_SPLITS = """Scene groups are held out whole, stratified by category and obstacle count; a scene keeps its split in every tier. A
 group is *covered* when it holds a success. Joint groups are scenes, fixed-target groups are one target of a scene; a group without a
@@ -108,7 +114,7 @@ def render_card(tables: Mapping[str, pa.Table], facts: Mapping[str, str], sizes:
         _facts(frames, facts),
         f"## Splits\n\n{_ABOUT_SPLITS}",
         _splits(frames, joined),
-        "## Outcomes",
+        f"## Outcomes\n\n{_ABOUT_OUTCOMES}",
         _outcomes(joined),
         "## Scenes",
         _scenes(frames["scenes"]),

@@ -26,12 +26,6 @@ def check_count(name: str, value: object) -> None:
         raise ReleaseError(f"{name} {shown(value)}, must be a whole number of at least 0")
 
 
-def check_real(name: str, value: object, largest: float) -> None:
-    """The field is a number in (0, largest]."""
-    if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0.0 < value <= largest:
-        raise ReleaseError(f"{name} {shown(value)}, must be a number in (0, {largest:.4g}]")
-
-
 def check_sha256(name: str, value: object) -> None:
     """The field is a SHA-256 in hexadecimal."""
     if not isinstance(value, str) or not _SHA256.fullmatch(value):

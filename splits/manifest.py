@@ -13,12 +13,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from splits.errors import ReleaseError, shown
-from splits.fields import check_count, check_equal, check_real, check_sha256, check_texts, check_version
+from splits.fields import check_count, check_equal, check_sha256, check_texts, check_version
 from tables.identity import IdentityError, shards_of_tier
 from tables.schemas import SCHEMA_VERSION
+from tables.tolerances import Tolerances, TolerancesError
 
 MANIFEST = "manifest.json"
 CARD = "README.md"
@@ -26,7 +27,7 @@ NAME = "placebench"
 LICENCE = "CC-BY-4.0"
 
 # Version of the data that this code makes: PATCH re-serialised, MINOR rows or columns added, MAJOR rows changed or moved across splits.
-DATA_VERSION = "0.3.0"
+DATA_VERSION = "0.4.0"
 
 # Measured once, different on every machine: shipped and checksummed, but no part of what the release hash identifies.
 MEASUREMENTS = ("timings",)
@@ -76,8 +77,7 @@ class Manifest:
     licence: str
     schema_version: str
     release_hash: str
-    position_tolerance_m: float
-    rotation_tolerance_rad: float
+    tolerances: Tolerances
     tables: dict[str, TableEntry]
     files: dict[str, FileEntry]
     provenance: dict[str, str]
@@ -89,7 +89,6 @@ class Manifest:
         check_version("version", self.version)
         check_version("schema_version", self.schema_version)
         check_equal("licence", self.licence, LICENCE)
-        check_tolerances(self.position_tolerance_m, self.rotation_tolerance_rad)
         check_texts("provenance", self.provenance)
         check_texts("libraries", self.libraries)
         for name, entry in self.tables.items():
@@ -156,12 +155,6 @@ def check_tier(tier: object) -> None:
         shards_of_tier(tier)
     except IdentityError as error:
         raise ReleaseError(f"tier: {error}") from error
-
-
-def check_tolerances(position_tolerance_m: object, rotation_tolerance_rad: object) -> None:
-    """Raise ReleaseError where labels cannot have been judged by these tolerances."""
-    check_real("position_tolerance_m", position_tolerance_m, 1.0)
-    check_real("rotation_tolerance_rad", rotation_tolerance_rad, math.pi)
 
 
 def check_versions(schema_version: object, version: object) -> None:
@@ -233,7 +226,16 @@ def _manifest_of(content: Mapping[str, Any]) -> Manifest:
     """The manifest of a JSON object that has exactly its fields, types and values."""
     values = {name: value for name, value in content.items() if name != _OWN_HASH}
     _check_keys("fields", values, Manifest)
-    return Manifest(**{**values, "tables": _entries("tables", values, TableEntry), "files": _entries("files", values, FileEntry)})
+    tables, files = _entries("tables", values, TableEntry), _entries("files", values, FileEntry)
+    return Manifest(**{**values, "tolerances": _tolerances(values["tolerances"]), "tables": tables, "files": files})
+
+
+def _tolerances(content: object) -> Tolerances:
+    _check_keys("tolerances", content, Tolerances)
+    try:
+        return Tolerances(**cast(dict[str, Any], content))
+    except TolerancesError as error:
+        raise ReleaseError(f"tolerances: {error}") from error
 
 
 def _entries(name: str, values: Mapping[str, Any], entry_type: type[TableEntry] | type[FileEntry]) -> dict[str, Any]:

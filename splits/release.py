@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import pyarrow as pa
@@ -25,7 +26,6 @@ from splits.manifest import (
     Manifest,
     TableEntry,
     check_tier,
-    check_tolerances,
     check_versions,
     files_of_table,
     read_manifest,
@@ -38,6 +38,7 @@ from splits.release_laws import broken_laws
 from tables.identity import scenes_of_shard, shards_of_tier
 from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES, SCHEMA_VERSION
 from tables.store import file_sha256, write_bytes_atomically, write_table, write_text_atomically
+from tables.tolerances import Tolerances
 from tables.versions import library_versions
 
 REQUIRED_TABLES = (
@@ -60,9 +61,7 @@ def write_release(
     tier: str,
     version: str,
     provenance: Mapping[str, str],
-    *,
-    position_tolerance_m: float,
-    rotation_tolerance_rad: float,
+    tolerances: Tolerances,
 ) -> Manifest:
     """Check the tables, write them with the data card, and write the manifest last.
 
@@ -74,18 +73,16 @@ def write_release(
         tier: `mini`, `pilot` or `full`.
         version: version of the data, `major.minor.patch`, of no newer major than `DATA_VERSION`.
         provenance: what made it, at least `recipe_hash`, `catalogue_hash` and `git_commit` (see provenance).
-        position_tolerance_m: tolerance the labels were judged by.
-        rotation_tolerance_rad: tolerance the labels were judged by.
+        tolerances: what the labels were judged by.
 
     Raises:
-        ReleaseError: a table missing or unknown, a scene of another tier, a malformed version, tolerance or provenance, an
-            impossible pose or label, a leak, or a folder that holds something else.
+        ReleaseError: a table missing or unknown, a scene of another tier, a malformed version or provenance, an impossible pose or
+            label, a leak, or a folder that holds something else.
         SchemaError: a table that is not what its schema says.
     """
     check_versions(SCHEMA_VERSION, version)
-    check_tolerances(position_tolerance_m, rotation_tolerance_rad)
     _check_contents(tables, tier, provenance)
-    _check_values(tables, position_tolerance_m, rotation_tolerance_rad)
+    _check_values(tables, tolerances)
     if directory.exists() and not directory.is_dir():
         raise ReleaseError(f"{directory}: not a folder")
     directory.mkdir(parents=True, exist_ok=True)
@@ -99,8 +96,7 @@ def write_release(
         "licence": LICENCE,
         "schema_version": SCHEMA_VERSION,
         "release_hash": release_hash,
-        "position_tolerance_m": f"{position_tolerance_m:g}",
-        "rotation_tolerance_rad": f"{rotation_tolerance_rad:.4g}",
+        **{f"tolerances.{name}": f"{value:.4g}" for name, value in asdict(tolerances).items()},
         "scenes_of_tier": str(sum(len(scenes_of_shard(shard)) for shard in shards_of_tier(tier))),
     }
     sizes = {name: (directory / entry.file).stat().st_size for name, entry in entries.items()}
@@ -113,8 +109,7 @@ def write_release(
         licence=LICENCE,
         schema_version=SCHEMA_VERSION,
         release_hash=release_hash,
-        position_tolerance_m=position_tolerance_m,
-        rotation_tolerance_rad=rotation_tolerance_rad,
+        tolerances=tolerances,
         tables=entries,
         files={file: FileEntry((directory / file).stat().st_size, file_sha256(directory / file)) for file in files},
         provenance=dict(provenance),
@@ -146,7 +141,7 @@ def verify_release(directory: Path, *, may_be_light: bool = False) -> Manifest:
     there = sorted(manifest.tables.keys() - set(absent))
     tables = {name: read_released_table(directory, manifest, name, verify=True) for name in there}
     _check_contents(tables, manifest.tier, manifest.provenance, without=absent)
-    _check_values(tables, manifest.position_tolerance_m, manifest.rotation_tolerance_rad)
+    _check_values(tables, manifest.tolerances)
     return manifest
 
 
@@ -212,11 +207,11 @@ def _check_attempts(tables: Mapping[str, pa.Table]) -> None:
             raise ReleaseError(f"attempts: {strange[0]} is no candidate ({len(strange)} are none, must be 0)")
 
 
-def _check_values(tables: Mapping[str, pa.Table], position_tolerance_m: float, rotation_tolerance_rad: float) -> None:
+def _check_values(tables: Mapping[str, pa.Table], tolerances: Tolerances) -> None:
     wrong_poses = find_pose_errors(tables)
     if wrong_poses:
         raise ReleaseError(f"poses: {len(wrong_poses)} columns wrong, must be 0; first {wrong_poses[0]}")
-    errors = broken_laws(tables, position_tolerance_m=position_tolerance_m, rotation_tolerance_rad=rotation_tolerance_rad)
+    errors = broken_laws(tables, tolerances)
     if errors:
         raise ReleaseError(f"laws: {len(errors)} broken, must be 0; first {errors[0]}")
     leaks = find_leaks(tables)

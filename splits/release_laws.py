@@ -15,6 +15,7 @@ from tables.columns import TableSchema
 from tables.identity import N_TARGETS
 from tables.schemas import CANDIDATE_PAIRS, EXECUTION_LABELS, GRASP_ADMISSION, PICK_LIFT, PLANNING_LABELS
 from tables.store import table_from_columns
+from tables.tolerances import Tolerances
 
 # Which rows of a joined table a stage made: those where this column is not null, or all.
 _PARTS: Sequence[tuple[str, TableSchema, str | None]] = (
@@ -29,17 +30,16 @@ _LEFT_OUT = {"plans", "scene_attempts"}
 _EXECUTION_VALUES = [name for name in EXECUTION_LABELS.names if name != "candidate_id"]
 
 
-def broken_laws(tables: Mapping[str, pa.Table], *, position_tolerance_m: float, rotation_tolerance_rad: float) -> list[str]:
+def broken_laws(tables: Mapping[str, pa.Table], tolerances: Tolerances) -> list[str]:
     """One sentence for every broken rule; laws about tables that a release leaves out are not asked.
 
     Args:
         tables: of a release by name, at least `scenes`, `obstacles`, `targets`, `grasps` and `candidates`. What each scene was
             allocated is taken from `scenes` and the object's category there.
-        position_tolerance_m: position error at which a placement stops being valid.
-        rotation_tolerance_rad: rotation error at which a placement stops being valid.
+        tolerances: what the labels were judged by.
     """
     parts = {**tables, **stage_tables(tables)}
-    promise = Promise(allocations_in(tables["scenes"]), N_TARGETS, position_tolerance_m, rotation_tolerance_rad)
+    promise = Promise(allocations_in(tables["scenes"]), N_TARGETS, tolerances)
     errors = _half_executed(tables["candidates"])
     for stage in STAGES:
         reads = {schema.name for schema in (*stage.inputs, *stage.outputs)}

@@ -128,7 +128,7 @@ POLICY_FEATURES = TableSchema("policy_features", "what the endpoint baselines kn
 ))
 
 _EXECUTION = (
-    flag("y_pipe", "the executed plan ended in a valid final pose; null where no plan exists", nullable=True),
+    flag("y_pipe", "the executed plan ended in a valid final pose without a slip in the hand; null where no plan exists", nullable=True),
     enum("exec_status", ExecStatus, "outcome of execution; null where no plan exists", nullable=True),
     real("final_position_error_m", "distance of the final object pose from the target", "m", nullable=True),
     real("final_rotation_error_rad", "turn of the final object pose from the target, modulo symmetry", "rad", nullable=True),

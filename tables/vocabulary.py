@@ -70,18 +70,22 @@ class PlanStatus(StrEnum):
 
 
 class ExecStatus(StrEnum):
-    """Outcome of executing a planned placement in physics; the first that applies, in this order, but success."""
+    """Outcome of executing a planned placement in physics.
+
+    From `dropped_in_transport` to `off_target`: why the end is not valid, whether the object slipped in the hand or not; the first that
+    applies, in this order. `slipped_in_hand` is valid but for the slip, so a valid end is `success` or `slipped_in_hand`.
+    """
 
     SUCCESS = "success"
     DROPPED = "dropped_in_transport"
     STOPPED = "protective_stop"  # the hand met more force than it bears and stopped
-    SLIPPED = "slipped_in_hand"
     COLLIDED = "collided"
     OFF_TABLE = "left_the_table"
     DRAGGED = "dragged_on_retreat"
     TOPPLED = "toppled_at_release"
     NOT_SETTLED = "not_settled"
     OFF_TARGET = "off_target"
+    SLIPPED = "slipped_in_hand"
 
 
 class Split(StrEnum):

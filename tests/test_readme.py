@@ -24,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     loose = write_synthetic_release(folder / "loose", n_scenes=6, seed=1)
     tables = {schema.name: read_table(schema, loose / f"{schema.name}.parquet") for schema in RELEASE_SCHEMAS}
     # Its scenes are the first of `full`; the README's folder is the one that `make demo` writes.
-    write_release(tables, folder / "data" / "release" / "mini", "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+    write_release(tables, folder / "data" / "release" / "mini", "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     return folder
 
 

@@ -19,6 +19,7 @@ from pipelines.engines.physics.coming_to_rest import RestParams, RestWatch, Step
 from pipelines.engines.physics.hand_bodies import HAND_PARTS
 from pipelines.engines.physics.phases import Phase, Watch, pose_difference
 from pipelines.values import Candidate
+from tables.tolerances import Tolerances
 from tables.vocabulary import ExecStatus, Symmetry
 
 
@@ -55,6 +56,11 @@ class ExecutionParams:
         ):
             if getattr(self, name) > getattr(self, bound):
                 raise BoundsError(f"{name} = {getattr(self, name)}, must be at most {bound} = {getattr(self, bound)}")
+
+    @property
+    def tolerances(self) -> Tolerances:
+        """What a release states, and what laws hold its labels against."""
+        return Tolerances(self.position_tolerance_m, self.rotation_tolerance_rad, self.slipped_m, self.slipped_rad)
 
 
 class JudgedParams(RestParams, Protocol):

@@ -161,6 +161,12 @@ LAW_FAULTS: list[tuple[str, str, Callable[[Rows], None], str]] = [
     ("planning_labels", "planning_labels", changed(PLANNED, plan_status="no_ik"), "y_plan says the same as plan_status"),
     ("planning_labels", "plans", dropped(), "1 of planned candidates are missing in plans"),
     ("execution_labels", "execution_labels", changed({}, tolerance_margin=0.123), "tolerance_margin is 1 minus"),
+    (
+        "execution_labels",
+        "execution_labels",
+        changed({"exec_status": "success"}, transport_slip_m=0.0021),
+        "a success has transport_slip_m of at most 0.002 m",
+    ),
     ("execution_labels", "execution_labels", changed({"exec_status": "success"}, y_pipe=False), "y_pipe says the same as exec_status"),
     ("candidates", "candidates", changed(PLANNED, plan_status="no_ik"), "planning_labels: y_plan says the same as plan_status"),
     ("candidates", "candidates", dropped(), "candidate_pairs: 1 of lifted grasps x targets are missing"),

@@ -30,7 +30,7 @@ def benchmark(tmp_path: Path) -> Benchmark:
     made = Benchmark(data_dir=str(tmp_path / "data"), reports_dir=str(tmp_path / "reports"))
     loose = write_synthetic_release(tmp_path / "loose", n_scenes=10, seed=1, n_points=40)
     tables = {schema.name: read_table(schema, loose / f"{schema.name}.parquet") for schema in RELEASE_SCHEMAS}
-    write_release(tables, made.root.release(TIER), TIER, "0.1.0", PROVENANCE, **TOLERANCES)
+    write_release(tables, made.root.release(TIER), TIER, "0.1.0", PROVENANCE, TOLERANCES)
     return made
 
 
@@ -59,7 +59,7 @@ def test_another_release_makes_them_again(benchmark: Benchmark) -> None:
     rows = tables["policy_features"].to_pylist()
     rows[0]["ik_feasible"] = not rows[0]["ik_feasible"]
     tables["policy_features"] = table_from_rows(ALL_SCHEMAS["policy_features"], rows)
-    write_release(tables, release_dir, TIER, "0.1.0", PROVENANCE, **TOLERANCES)
+    write_release(tables, release_dir, TIER, "0.1.0", PROVENANCE, TOLERANCES)
     assert not trees_step.is_done(benchmark, TIER)
     assert reused(run(benchmark)) == {CANDIDATE_GEOMETRY.name: False, TREE_PREDICTIONS: False, "trees_probe_report": False}
 

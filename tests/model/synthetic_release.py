@@ -1,7 +1,8 @@
 """A small release whose labels follow from geometry by a rule that fits on one page; nothing here plans or simulates.
 
 The rule: a candidate can be planned when the hand at the place pose is within reach, above the table, clear of the obstacles and does not
-point back at the robot; a planned one succeeds when the grasp holds the object near its middle and the object needs little turning.
+point back at the robot; a planned one succeeds when the grasp holds the object near its middle and the object needs little turning. What
+only just ends valid has slipped in the hand, which is no success.
 So a ranker that reads the poses and the cloud can learn it, and one that cannot is broken.
 """
 
@@ -19,6 +20,7 @@ from tables.columns import joint_columns
 from tables.identity import candidate_id_of, rng_for, scene_id_of
 from tables.poses import inverse, pose_columns, pose_of, rotation_angle_rad
 from tables.store import table_from_rows, write_table
+from tables.tolerances import Tolerances
 from tables.vocabulary import AdmissionStatus, ExecStatus, LiftStatus, PlanStatus, Split
 
 Row = dict[str, Any]
@@ -26,7 +28,8 @@ Row = dict[str, Any]
 N_TARGETS = 8
 HAND_OFFSET_M = 0.08  # from the TCP back to the middle of the hand
 # What the synthetic labels are judged by.
-TOLERANCES = {"position_tolerance_m": 0.020, "rotation_tolerance_rad": math.radians(10.0)}
+TOLERANCES = Tolerances(position_m=0.020, rotation_rad=math.radians(10.0), slip_m=0.002, slip_rad=math.radians(2.0))
+SLIPPED_MARGIN = 0.02  # ends as near to the tolerance as this have slipped in the hand
 RELEASE_SCHEMAS = (
     schemas.OBJECTS, schemas.SCENES, schemas.OBSTACLES, schemas.TARGETS, schemas.SCENE_POINTS, schemas.GRASP_POOL, schemas.GRASPS,
     schemas.CANDIDATES, schemas.SPLITS, schemas.POLICY_FEATURES, schemas.TIMINGS,
@@ -132,13 +135,15 @@ def _labels(
     turn_rad = float(rotation_angle_rad(T_base_object[:3, :3], T_base_target[:3, :3]))
     off_middle_m = abs(float(T_object_grasp[2, 3]))
     margin = 0.75 - off_middle_m / 0.06 - 0.12 * turn_rad + noise
-    y_pipe = margin >= 0.0
-    failure = ExecStatus.DROPPED if margin < -0.5 else ExecStatus.OFF_TARGET if margin < -0.2 else ExecStatus.TOPPLED
+    y_pipe = margin >= SLIPPED_MARGIN
+    ends = ((-0.5, ExecStatus.DROPPED), (-0.2, ExecStatus.OFF_TARGET), (0.0, ExecStatus.TOPPLED), (SLIPPED_MARGIN, ExecStatus.SLIPPED))
+    exec_status = next((status for below, status in ends if margin < below), ExecStatus.SUCCESS)
     distance_m = float(np.linalg.norm(T_base_target[:3, 3] - T_base_object[:3, 3]))
     row |= {"min_clearance_m": 0.02, "plan_duration_s": 2.0 + 3.0 * distance_m, "path_length_rad": 1.0 + distance_m, "n_waypoints": 2}
-    row |= {"y_pipe": y_pipe, "exec_status": (ExecStatus.SUCCESS if y_pipe else failure).value, "tolerance_margin": margin}
+    row |= {"y_pipe": y_pipe, "exec_status": exec_status.value, "tolerance_margin": margin}
     row |= {"final_position_error_m": 0.02 * (1.0 - margin), "final_rotation_error_rad": 0.1 * (1.0 - margin)}
-    row |= {"transport_slip_m": 0.001, "transport_slip_rad": 0.01, "release_position_error_m": 0.002, "release_rotation_error_rad": 0.01}
+    row |= {"transport_slip_m": 0.003 if exec_status is ExecStatus.SLIPPED else 0.001, "transport_slip_rad": 0.01}
+    row |= {"release_position_error_m": 0.002, "release_rotation_error_rad": 0.01}
     row |= {"retreat_drag_m": 0.0005, "n_physics_steps": 800, **_pose_row("final", T_base_target)}
     return row
 

@@ -16,7 +16,7 @@ from tests.splits.damage import PROVENANCE
 
 
 def test_a_release_is_read_back(release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
-    write_release(release_tables, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+    write_release(release_tables, tmp_path, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     loaded = load_release(tmp_path)
     assert loaded.keys() == release_tables.keys()
     assert all(loaded[name].equals(release_tables[name]) for name in loaded)

@@ -80,7 +80,7 @@ def test_the_order_of_rows_means_nothing(report: Report, release_tables: dict[st
 def test_the_command_reports_a_release(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     made = write_synthetic_release(tmp_path / "made", n_scenes=10, seed=1, n_points=40)
     tables = {schema.name: read_table(schema, made / f"{schema.name}.parquet") for schema in RELEASE_SCHEMAS}
-    write_release(tables, tmp_path / "release", "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+    write_release(tables, tmp_path / "release", "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     assert trees_probe.main([str(tmp_path / "release"), "--cross-validate", "2", "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     assert (tmp_path / "out" / "trees_probe.md").read_text() in printed

@@ -24,7 +24,7 @@ def release_tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, pa.Tab
 def release(release_tables: dict[str, pa.Table], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same as a release folder; tests that change it copy it first."""
     directory = tmp_path_factory.mktemp("release")
-    write_release(release_tables, directory, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+    write_release(release_tables, directory, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     return directory
 
 

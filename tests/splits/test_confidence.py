@@ -112,7 +112,7 @@ def test_the_line_of_polars_keeps_what_the_card_says(candidates: pa.Table, execu
 def test_attempts_are_part_of_a_release_and_of_its_card_but_not_of_its_hash(
     release: Path, release_tables: dict[str, pa.Table], attempts: pa.Table, tmp_path: Path
 ) -> None:
-    manifest = write_release(release_tables | {"attempts": attempts}, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+    manifest = write_release(release_tables | {"attempts": attempts}, tmp_path, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     assert verify_release(tmp_path) == manifest
     assert manifest.release_hash == read_manifest(release).release_hash
     assert "attempts" in manifest.tables
@@ -122,7 +122,7 @@ def test_attempts_are_part_of_a_release_and_of_its_card_but_not_of_its_hash(
     rows = attempts.to_pylist()
     rows[0]["candidate_id"] = "full-0999-t0-g00"
     with pytest.raises(ReleaseError, match="attempts: full-0999-t0-g00 is no candidate"):
-        write_release(release_tables | {"attempts": table_from_rows(ATTEMPTS, rows)}, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+        write_release(release_tables | {"attempts": table_from_rows(ATTEMPTS, rows)}, tmp_path, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
 
 
 def test_the_card_states_sizes(release: Path) -> None:

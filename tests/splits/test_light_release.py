@@ -119,7 +119,7 @@ def test_a_light_copy_is_made_of_a_sound_release_in_a_folder_of_its_own(release:
 
 
 def test_a_light_copy_replaces_a_whole_release(release: Path, release_tables: dict[str, pa.Table], light: Path, tmp_path: Path) -> None:
-    write_release(release_tables, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+    write_release(release_tables, tmp_path, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     make_light(release, tmp_path)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {path.name: path.read_bytes() for path in light.iterdir()}
     assert (tmp_path / MANIFEST).exists()

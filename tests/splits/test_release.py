@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shutil
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pyarrow as pa
@@ -34,7 +35,7 @@ def test_a_written_release_verifies(release: Path, release_tables: dict[str, pa.
 def test_impossible_tables_are_not_released(release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
     flipped = changed(schemas.CANDIDATES, release_tables["candidates"], lambda row: row["y_plan"], y_plan=False)
     with pytest.raises(ReleaseError, match="labels: "):
-        write_release(release_tables | {"candidates": flipped}, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+        write_release(release_tables | {"candidates": flipped}, tmp_path, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -56,14 +57,14 @@ def test_a_release_needs_its_tables_tier_and_provenance(
 ) -> None:
     tables = {name: table for name, table in release_tables.items() if name != without}
     with pytest.raises(ReleaseError, match=message):
-        write_release(tables, tmp_path, tier, "0.1.0", provenance, **TOLERANCES)
+        write_release(tables, tmp_path, tier, "0.1.0", provenance, TOLERANCES)
 
 
 def test_a_table_of_the_wrong_type_is_not_released(release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
     pool = release_tables["grasp_pool"]
     wrong = pool.set_column(pool.column_names.index("jaw_width_m"), "jaw_width_m", pool["jaw_width_m"].cast(pa.float32()))
     with pytest.raises(SchemaError, match="grasp_pool: schema differs"):
-        write_release(release_tables | {"grasp_pool": wrong}, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+        write_release(release_tables | {"grasp_pool": wrong}, tmp_path, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     assert not (tmp_path / MANIFEST).exists()
 
 
@@ -73,17 +74,17 @@ def test_the_same_tables_give_the_same_bytes_and_stale_tables_go(
     directory = copy_of(release, tmp_path)
     shutil.copy(directory / "targets.parquet", directory / "plans.parquet")
     shutil.copy(directory / "targets.parquet.json", directory / "plans.parquet.json")
-    write_release(release_tables, directory, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+    write_release(release_tables, directory, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     assert {path.name: path.read_bytes() for path in directory.iterdir()} == {path.name: path.read_bytes() for path in release.iterdir()}
 
 
 def test_timings_are_no_part_of_the_release_hash(release: Path, release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
     slower = changed(schemas.TIMINGS, release_tables["timings"], lambda row: True, core_ms=1e6)
-    manifest = write_release(release_tables | {"timings": slower}, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+    manifest = write_release(release_tables | {"timings": slower}, tmp_path, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     assert manifest.release_hash == read_manifest(release).release_hash
     other = changed(schemas.TARGETS, release_tables["targets"], lambda row: True, rest_drift_m=1e-6)
     assert (
-        write_release(release_tables | {"targets": other}, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES).release_hash
+        write_release(release_tables | {"targets": other}, tmp_path, "pilot", "0.1.0", PROVENANCE, TOLERANCES).release_hash
         != manifest.release_hash
     )
 
@@ -93,6 +94,11 @@ def test_the_card_states_the_data(release: Path, release_tables: dict[str, pa.Ta
     rows = release_tables["candidates"].to_pylist()
     n_planned = sum(row["y_plan"] for row in rows)
     assert f"| candidates | {len(rows):,} |" in card
+    n_valid = sum(row["exec_status"] in ("success", "slipped_in_hand") for row in rows)
+    n_slipped = n_valid - sum(bool(row["y_pipe"]) for row in rows)
+    assert n_slipped > 0
+    assert f"| `slipped_in_hand` | {n_slipped:,} ({100 * n_slipped / n_planned:.1f} %) |" in card
+    assert "`exec_status` in (`success`, `slipped_in_hand`)" in " ".join(card.split())
     assert f"| `solved` | {n_planned:,} ({100 * n_planned / len(rows):.1f} %) |" in card
     test = {row["scene_id"] for row in release_tables["splits"].to_pylist() if row["split"] == "test"}
     covered = {(row["scene_id"], row["target_id"]) for row in rows if row["scene_id"] in test and row["y_pipe"]}
@@ -128,27 +134,29 @@ def test_the_command_line_says_whether_a_release_is_sound(release: Path, tmp_pat
 
 
 def test_a_release_is_checked_by_and_states_its_own_tolerances(release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
-    manifest = write_release(release_tables, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
-    assert manifest.position_tolerance_m == TOLERANCES["position_tolerance_m"]
-    assert "| `position_tolerance_m` | `0.02` |" in (tmp_path / "README.md").read_text()
-    with pytest.raises(ReleaseError, match="position error / 0"):
-        write_release(release_tables, tmp_path, "pilot", "0.1.0", PROVENANCE, position_tolerance_m=0.0075, rotation_tolerance_rad=0.087)
+    manifest = write_release(release_tables, tmp_path, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
+    assert manifest.tolerances == read_manifest(tmp_path).tolerances == TOLERANCES
+    stated = {"position_m": "0.02", "rotation_rad": "0.1745", "slip_m": "0.002", "slip_rad": "0.03491"}
+    card = (tmp_path / "README.md").read_text()
+    assert [name for name, value in stated.items() if f"| `tolerances.{name}` | `{value}` |" not in card] == []
+    assert read_json(tmp_path / MANIFEST)["tolerances"] == asdict(TOLERANCES)
+    for tighter, words in (({"position_m": 0.0075}, "position error / 0.0075"), ({"slip_m": 0.0009}, "transport_slip_m of at most 0.0009")):
+        with pytest.raises(ReleaseError, match=words):
+            write_release(release_tables, tmp_path, "pilot", "0.1.0", PROVENANCE, replace(TOLERANCES, **tighter))
 
 
 @pytest.mark.parametrize(
-    ("version", "tolerances", "message"),
+    ("version", "message"),
     [
-        ("0.1", {}, "version '0.1', must be major.minor.patch"),
-        ("1.0.0", {}, r"version 1.0.0 is of a newer major version than this code knows \(0.3.0\)"),
-        ("0.1.0", {"position_tolerance_m": 0.0}, r"position_tolerance_m 0.0, must be a number in \(0, 1\]"),
-        ("0.1.0", {"rotation_tolerance_rad": float("nan")}, r"rotation_tolerance_rad nan, must be a number in \(0, 3.142\]"),
+        ("0.1", "version '0.1', must be major.minor.patch"),
+        ("1.0.0", r"version 1.0.0 is of a newer major version than this code knows \(0.4.0\)"),
     ],
 )
 def test_a_release_that_could_not_be_read_is_not_written(
-    release_tables: dict[str, pa.Table], tmp_path: Path, version: str, tolerances: dict[str, float], message: str
+    release_tables: dict[str, pa.Table], tmp_path: Path, version: str, message: str
 ) -> None:
     with pytest.raises(ReleaseError, match=message):
-        write_release(release_tables, tmp_path, "pilot", version, PROVENANCE, **{**TOLERANCES, **tolerances})
+        write_release(release_tables, tmp_path, "pilot", version, PROVENANCE, TOLERANCES)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -164,7 +172,7 @@ def test_a_folder_with_something_else_is_refused_untouched(
         (directory / name).write_text("mine")
     before = {path.name: path.stat().st_mtime_ns for path in directory.iterdir()}
     with pytest.raises(ReleaseError, match=f"{re.escape(name.rstrip('/'))}: not a file of a release"):
-        write_release(release_tables, directory, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+        write_release(release_tables, directory, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     assert {path.name: path.stat().st_mtime_ns for path in directory.iterdir()} == before
 
 
@@ -172,15 +180,15 @@ def test_what_a_killed_write_left_goes(release: Path, release_tables: dict[str, 
     directory = copy_of(release, tmp_path)
     for name in (".targets.parquet.a1b2c3", ".targets.parquet.json.a1b2c3", ".README.md.x_y", ".manifest.json.x_y", "old.parquet.json"):
         (directory / name).write_text("half")
-    write_release(release_tables, directory, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+    write_release(release_tables, directory, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     assert {path.name for path in directory.iterdir()} == {path.name for path in release.iterdir()}
     with pytest.raises(ReleaseError, match=r"README\.md: not a folder"):
-        write_release(release_tables, directory / "README.md", "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+        write_release(release_tables, directory / "README.md", "pilot", "0.1.0", PROVENANCE, TOLERANCES)
 
 
 def test_the_release_hash_knows_the_tables_only(release: Path, release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
     dirty = {**PROVENANCE, "git_commit": f"{PROVENANCE['git_commit']}-dirty"}
-    other = write_release(release_tables, tmp_path, "pilot", "0.2.0", dirty, **TOLERANCES)
+    other = write_release(release_tables, tmp_path, "pilot", "0.2.0", dirty, TOLERANCES)
     first = read_manifest(release)
     assert other.release_hash == first.release_hash
     assert [other.files[entry.file] for entry in other.tables.values()] == [first.files[entry.file] for entry in first.tables.values()]

@@ -75,7 +75,9 @@ BESIDE = (
     _beside(_HOLD, "hold_objects_short", "n_hold_objects", "objects with fewer grasps that hold than were asked for"),
     _beside(_MORE_HOLD, "hold_creep_any_direction_mm_median", "n_hold_creep_any_direction", "millimetres where gravity pulls another way"),
     _beside(_MORE_HOLD, "hold_creep_any_direction_mm_max", "n_hold_creep_any_direction", "the worst of these grasps"),
-    _beside(_AUC, "cuboid_held_auc", "n_cuboid_auc", "held to the release (neither dropped nor slipped, however it ended) instead of success"),
+    _beside(
+        _AUC, "cuboid_held_auc", "n_cuboid_auc", "held to the release (neither dropped nor slipped, however it ended) instead of success"
+    ),
     _beside(
         "grips askew, cans and cuboids", "preload_ratio_max", "n_loads", "friction a grip takes by itself, over mu F: Coulomb allows 1"
     ),

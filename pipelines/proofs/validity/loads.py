@@ -42,7 +42,13 @@ def loads_row(case: Case, stored: Row) -> Row:
     is_lost = stored["exec_status"] == ExecStatus.DROPPED.value or is_slip(
         stored["transport_slip_m"], stored["transport_slip_rad"], case.recipe.execution
     )
-    row = {**stored, "is_lost": is_lost, "demand_even_pads": demand_ratio_even_pads(object_model, grasp, hands, physics), "demand": None, "preload": None}
+    row = {
+        **stored,
+        "is_lost": is_lost,
+        "demand_even_pads": demand_ratio_even_pads(object_model, grasp, hands, physics),
+        "demand": None,
+        "preload": None,
+    }
     if patch is not None:
         row["demand"] = demand_ratio(patch, object_model, grasp, hands, physics)
         row["preload"] = float(np.linalg.norm(patch.preload_n)) / (capacity_n(object_model, physics) / 2)
