@@ -59,7 +59,7 @@ KNOBS = (
     Knob("recipe", "–", "the recipe", {}),
     Knob("same-rest", "`share_same_rest`", "0.1 → 0.5", {"scene_sampling.share_same_rest": 0.5}),
     Knob("beside", "`share_beside_obstacle`", "0.9 → 0.3", {"scene_sampling.share_beside_obstacle": 0.3}),
-    Knob("initial-grasps", "`min_initial_grasps`", "28 → 16", {"scene_sampling.min_initial_grasps": 16}),
+    Knob("initial-grasps", "`min_initial_grasps`", "26 → 16", {"scene_sampling.min_initial_grasps": 16}),
     Knob("lines", "`preplace_m`, `retreat_m`", "0.15 → 0.10 m", {"planning.preplace_m": 0.10, "planning.retreat_m": 0.10}),
     Knob("torque", "pool `max_torque_n_m`", "0.22 → 0.10 N m", {"objects.grasp_pool.max_torque_n_m": 0.10}),
     Knob(

@@ -14,9 +14,10 @@ from tables.vocabulary import ExecStatus, Perturbation
 _MARGIN_EDGES = (0.0, 0.05, 0.1, 0.25, 0.5, 0.75, 1.0, float("inf"))
 _SLIP_EDGES_M = (0.0, 1e-4, 1e-3, 5e-3, 2e-2, float("inf"))
 
-# What the card proposes as confident, and measures.
-NEAR_MARGIN, SLIPPING_M = 0.25, 1e-3
-_CONFIDENT = (pl.col("tolerance_margin").abs() >= NEAR_MARGIN) & (pl.col("transport_slip_m") < SLIPPING_M)
+# What the card proposes as confident, and measures: a third of the slips that fail.
+NEAR_MARGIN, SLIPPING_M, SLIPPING_RAD = 0.25, 1e-3, 0.0175
+_STAYED = (pl.col("transport_slip_m") < SLIPPING_M) & (pl.col("transport_slip_rad") < SLIPPING_RAD)
+_CONFIDENT = (pl.col("tolerance_margin").abs() >= NEAR_MARGIN) & _STAYED
 
 _KINDS = {
     "time step, hold": (Perturbation.FINE_STEP, Perturbation.HOLD),
@@ -24,22 +25,22 @@ _KINDS = {
     "pad lever ±15 %": (Perturbation.PAD_LEVER_UP, Perturbation.PAD_LEVER_DOWN),
 }
 
-_ABOUT = """`y_pipe` is what one simulation said. Two columns say how near it is to saying otherwise: `tolerance_margin`, 1 minus the larger
-error over its tolerance, whose distance from 0 is the distance from the tolerance; and `transport_slip_m`, how far the object moved in the
-hand, because what slips may fall or hold far from any tolerance, and because a success has a bound on slip too."""
+_ABOUT = """`y_pipe` is what one simulation said. Three columns say how near it is to saying otherwise: `tolerance_margin`, 1 minus the larger
+error over its tolerance, whose distance from 0 is the distance from the tolerance; and `transport_slip_m` with `transport_slip_rad`, how
+far the object moved and turned in the hand: what slips may fall or hold far from any tolerance, and a success has a bound on slip too."""
 
 _WITHOUT = """This release holds no `attempts`. The repeatability report that `make dataset` writes beside it says how often labels flip,
-by the same two columns."""
+by the same columns."""
 
 _FLIPS = """A label *flips* when success becomes failure or the reverse, in `attempts`: executions of the same candidates with half the
 time step or another hold, with friction ±5 %, and with the lever of the pads ±15 %. The first change means nothing physically; the others
 are as uncertain as the numbers they change."""
 
-_FILTER = f"""Labels that are sure by both columns, in one line of polars:
+_FILTER = f"""Labels that are sure by all of them, in one line of polars:
 
 ```python
 confident = candidates.filter(~pl.col("y_plan") | ((pl.col("tolerance_margin").abs() >= {NEAR_MARGIN}) \
-& (pl.col("transport_slip_m") < {SLIPPING_M})))
+& (pl.col("transport_slip_m") < {SLIPPING_M}) & (pl.col("transport_slip_rad") < {SLIPPING_RAD})))
 ```"""
 
 
@@ -68,7 +69,7 @@ def confidence_section(candidates: pl.DataFrame, attempts: pl.DataFrame | None) 
 def _compared(attempts: pl.DataFrame, executed: pl.DataFrame) -> pl.DataFrame:
     """Perturbed attempts of executed candidates, beside the stored label, and whether they flip it."""
     kinds = pl.DataFrame([(p.value, kind) for kind, some in _KINDS.items() for p in some], schema=["perturbation", "kind"], orient="row")
-    stored = executed.select("candidate_id", "tolerance_margin", "transport_slip_m", "y_pipe")
+    stored = executed.select("candidate_id", "tolerance_margin", "transport_slip_m", "transport_slip_rad", "y_pipe")
     frame = attempts.join(kinds, on="perturbation").join(stored, on="candidate_id")
     succeeded = pl.col("exec_status").eq_missing(pl.lit(ExecStatus.SUCCESS.value))
     return frame.with_columns((succeeded != pl.col("y_pipe")).alias("flips"))

@@ -50,7 +50,7 @@ class SceneSamplingParams:
     min_target_distance_m: float = bounded(0.05, 0.0, 1.0)  # between targets, or they must be turned:
     min_target_turn_rad: float = bounded(0.5235987755982988, 0.0, math.pi)  # 30 degrees modulo symmetry
     # Pool grasps that clear the table and that the arm reaches, at the initial pose of the object and at a target.
-    min_initial_grasps: int = bounded(28, 1, 100)
+    min_initial_grasps: int = bounded(26, 1, 100)
     min_target_grasps: int = bounded(1, 1, 100)
     n_q7: int = bounded(8, 1, 4096)  # grid of joint 7; a reach test, finer ones follow
     rest_s: float = bounded(1.0, 0.01, 60.0)  # an unstable pose has left its place by then
