@@ -43,8 +43,8 @@ class GraspPoolParams:
     n_candidates: int = 24_000
     # Friction cone of a pad, tan(angle): contacts within it. See pipelines/recipe.toml.
     friction: float = 0.32
-    # Pads are flat: a contact far off the normal is no contact of the middle of the pad. 0.1 rad is 3 mm on a 66 mm can.
-    jitter_rad: float = 0.1
+    # Pads are flat: a contact off the normal is none of the middle of the pad. 0.05 rad is 1.6 mm on a 66 mm can.
+    jitter_rad: float = 0.05
     # Contacts to the next sharp edge: nearer than 4 mm, less than two thirds of a pad of 17.5 x 18.5 mm hold. See pipelines/recipe.toml.
     edge_margin_m: float = 0.002
     # Palm contact poisons later labels: the object shifts in the hand, the retreat is blocked.

@@ -34,7 +34,7 @@ class PlanningParams:
 
     # Let go so far above the target. The held object needs its clearance above the table, and the arm tracks within 1 mm: lower, no
     # place pose would be free.
-    release_height_m: float = bounded(0.005, 2 * CLEARANCE_M, 0.05)
+    release_height_m: float = bounded(0.003, 2 * CLEARANCE_M, 0.05)
     preplace_m: float = bounded(0.15, 0.01, 0.4)  # straight descend from above the place pose
     retreat_m: float = bounded(0.15, 0.01, 0.4)  # straight retreat along the approach
     # Lines of 0.15 m can be followed from a narrow range of joint 7 only: 32 miss 7 plans in 3,240 candidates that 256 find, 128 miss 1.

@@ -29,7 +29,7 @@ class ExecutionParams:
 
     hold_s: float = bounded(0.05, 0.001, 10.0)  # contacts find their forces before the arm moves: five relaxation times of the pads
     max_open_s: float = bounded(0.5, 0.001, 10.0)  # 12 mm a finger take 0.24 s at 0.05 m/s
-    # Between opening and retreat: the object drops the release height (5 mm take 32 ms) and comes to rest or does not.
+    # Between opening and retreat: the object drops the release height (3 mm take 25 ms) and comes to rest or does not.
     release_wait_s: float = bounded(0.1, 0.001, 10.0)
     # The retreat ends once the object rests and the hand is this far away: from here the hand only moves further, on a line that was
     # planned free of everything.
