@@ -39,9 +39,10 @@ class ExecutionParams:
     position_tolerance_m: float = bounded(0.0075, 1e-4, 0.5)
     rotation_tolerance_rad: float = bounded(0.08726646259971647, 0.001, math.pi)
     dropped_m: float = bounded(0.05, 0.001, 1.0)  # further from where the hand held it than a pad is long
-    # Held means held: what loads below the pads' limit never do (HAND_WORLD.md, "What a slip is").
-    slipped_m: float = bounded(0.003, 1e-4, 0.5)
-    slipped_rad: float = bounded(0.05235987755982988, 0.001, math.pi)  # 3 degrees
+    # Held means held: what loads below the pads' limit never do, half of what a placement may be off and the 5 degrees that it may be
+    # turned by (HAND_WORLD.md, "What a slip is").
+    slipped_m: float = bounded(0.00375, 1e-4, 0.5)
+    slipped_rad: float = bounded(0.08726646259971647, 0.001, math.pi)
     collision_impulse_n_s: float = bounded(0.2, 0.001, 100.0)  # a 0.35 kg can stopped from 0.6 m/s; brushing past is less
     dragged_m: float = bounded(0.00375, 1e-5, 0.5)  # what the retreat may move the object by
     # 15 degrees of tilt: beyond tolerance, and no face of a box is that close to another.

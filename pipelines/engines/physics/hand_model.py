@@ -129,7 +129,7 @@ def _xml(object_model: ObjectModel, obstacles: Sequence[Obstacle], params: HandW
     ET.SubElement(root, "size", memory="32M")
     asset, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
     add_environment(world, object_model, obstacles, params)
-    add_object(asset, world, object_model, are_rounds_hulls=params.rounds_are_hulls and carrier.is_let_go)
+    add_object(asset, world, object_model, are_rounds_hulls=params.rounds_are_hulls)
     sensors = ET.SubElement(root, "sensor")
     history = str(carrier.steps_per_tick(params))
     for name in fixed_bodies(obstacles):

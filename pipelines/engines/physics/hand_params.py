@@ -53,7 +53,7 @@ class HandWorldParams:
     pad_lever_scale: float = bounded(1.0, 0.85, 1.15)  # of the lever that even pressure gives, for the repeatability study
     # The cells stand that far before the rigid block behind them: nine times what an even face yields.
     pad_protrusion_m: float = bounded(0.00035, 1e-5, 0.002)
-    # Cans as the prisms of 48 sides that they are in engines without cylinders, once they are let go: for a comparison with one.
+    # Cans as the prisms of 48 sides that they are in engines without cylinders: for a comparison with one.
     rounds_are_hulls: bool = bounded(False, 0, 1)
 
     pad_friction: float = bounded(0.8, 0.05, 2.0)  # times the object's

@@ -27,7 +27,7 @@ from pipelines.values import Candidate, Motion
 # Cells stand before a rigid block; without them the block is the pad, this far behind the pad's face.
 BEHIND_FACE_M = 1e-5
 # Rigid pads need finer steps than pads of rubber. Each engine has the one at which its own half changes little: SECOND_ENGINE.md.
-MUJOCO_STEPS_PER_TICK, BULLET_STEPS_PER_TICK = 16, 8
+MUJOCO_STEPS_PER_TICK, BULLET_STEPS_PER_TICK = 32, 8
 _MEASURES = {
     "success": "y_pipe",
     "status": "exec_status",
