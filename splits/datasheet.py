@@ -60,8 +60,8 @@ def render_datasheet(manifest: Manifest, summary: Summary, citation: Citation) -
 def _motivation(citation: Citation) -> Answers:
     return [
         ("For what purpose was the dataset created?", PURPOSE),
-        ("Who created the dataset and on behalf of which entity?", f"{' and '.join(citation.work.authors)}, on behalf of nobody else."),
-        ("Who funded the creation of the dataset?", "Nobody: it takes ordinary processors and open software."),
+        ("Who created the dataset and on behalf of which entity?", f"{' and '.join(citation.work.authors)}; no other entity is recorded."),
+        ("Who funded the creation of the dataset?", "No funding is recorded. It takes ordinary processors and open software."),
     ]
 
 
@@ -77,10 +77,13 @@ def _composition(manifest: Manifest, summary: Summary) -> Answers:
         ("How many instances are there in total?", instances),
         (
             "Is it all possible instances or a sample of a larger set?",
-            f"Scenes are a sample without end; of the {count(summary.whole.n_scenes)} scenes here every lifted grasp is paired with every"
-            " target. Tiers are nested: the scenes of `pilot` are scenes of `full`, with the same ids and the same rows.",
+            f"Scenes are random draws of what the recipe allows; in the {count(summary.whole.n_scenes)} scenes here every lifted grasp is"
+            " paired with every target. Tiers are nested: the scenes of `pilot` are scenes of `full`, with the same ids and the same rows.",
         ),
-        ("What data does each instance consist of?", f"Scalars with units in their names; no images. `{CROISSANT}` lists every column."),
+        (
+            "What data does each instance consist of?",
+            f"Scalars with units in their names, and flat lists in meshes and plans; no images. `{CROISSANT}` lists every column.",
+        ),
         ("Is there a label or target associated with each instance?", _items(labelled_how())),
         ("How often is each label true?", _shares(summary)),
         ("Is any information missing from individual instances?", MISSING),

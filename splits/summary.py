@@ -10,7 +10,9 @@ import pyarrow as pa
 
 from pipelines.frames import frame_of
 from splits.confidence import count_flips
-from tables.vocabulary import AdmissionStatus, Category, LiftStatus, Split
+from tables.vocabulary import AdmissionStatus, Category, LiftStatus, Perturbation, Split
+
+_IS_FRESH = pl.col("perturbation") == Perturbation.FRESH.value
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +33,7 @@ class Summary:
         n_used_objects: objects that a scene holds, of `n_objects` in the catalogue.
         n_pool_grasps: rows of `grasps`: pool grasps of each scene's object.
         obstacle_counts: numbers of obstacles that a scene has.
+        n_repeats: repeats in a fresh process, `n_identical` of which are bit-identical; 0 without `attempts`.
         n_attempts: repeats under a changed simulation of candidates with a plan, `n_flips` of which flip success; 0 without `attempts`.
     """
 
@@ -44,6 +47,8 @@ class Summary:
     whole: Part
     by_split: dict[str, Part]
     by_category: dict[str, Part]
+    n_repeats: int
+    n_identical: int
     n_attempts: int
     n_flips: int
 
@@ -53,7 +58,9 @@ def summary_of(tables: Mapping[str, pa.Table]) -> Summary:
     scenes, grasps, candidates = (frame_of(tables[name]) for name in ("scenes", "grasps", "candidates"))
     scenes = scenes.join(frame_of(tables["splits"]).select("scene_id", "split"), on="scene_id")
     joined = candidates.join(scenes.select("scene_id", "split"), on="scene_id")
-    n_flips, n_attempts = count_flips(candidates, frame_of(tables["attempts"])) if "attempts" in tables else (0, 0)
+    attempts = frame_of(tables["attempts"]) if "attempts" in tables else None
+    n_flips, n_attempts = (0, 0) if attempts is None else count_flips(candidates, attempts)
+    repeats = pl.Series(dtype=pl.Boolean) if attempts is None else attempts.filter(_IS_FRESH)["is_identical"]
     return Summary(
         n_objects=tables["objects"].num_rows,
         n_used_objects=scenes["object_id"].n_unique(),
@@ -69,6 +76,8 @@ def summary_of(tables: Mapping[str, pa.Table]) -> Summary:
             for category in Category
             if (scenes["category"] == category.value).any()
         },
+        n_repeats=len(repeats),
+        n_identical=int(repeats.sum()),
         n_attempts=n_attempts,
         n_flips=n_flips,
     )

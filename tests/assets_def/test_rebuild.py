@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 
 from pipelines.running.data_root import DataRoot
 from splits import rebuild as command
+from splits.manifest import read_manifest
 from splits.rebuild import rebuild
 from splits.release import make_light, verify_release
 from splits.release_reader import Release
@@ -120,7 +122,7 @@ def test_another_recipe_or_stage_is_refused_before_any_work(
     content["provenance"]["code.scene_points"] = "0"
     write_signed(light, content)
     with pytest.raises(command.ReleaseError, match=r"code\.scene_points of the release is 0, of this code "):
-        command._check_origin(command.read_manifest(light), command._STAGE_OF["scene_points"], command.load_recipe(TIER, recipe))
+        command._check_origin(read_manifest(light), command._STAGE_OF["scene_points"], command.load_recipe(TIER, recipe))
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 

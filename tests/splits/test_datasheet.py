@@ -63,11 +63,14 @@ def test_other_data_make_another_datasheet(release: Path, release_tables: dict[s
         }
         for k, row in enumerate(rows)
     ]
-    tables = release_tables | {"attempts": table_from_rows(schemas.ATTEMPTS, repeats)}
+    fresh = [{**row, "perturbation": "fresh_process", "is_identical": k == 0} for k, row in enumerate(repeats[:2])]
+    tables = release_tables | {"attempts": table_from_rows(schemas.ATTEMPTS, repeats + fresh)}
     summary = summary_of(tables)
+    assert (summary.n_identical, summary.n_repeats) == (1, 2)
     assert (summary.n_flips, summary.n_attempts) == (1, len(rows))
     write_release(tables, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
     text = (tmp_path / DATASHEET).read_text(encoding="utf-8")
+    assert "1 of 2 repeats in a fresh process are the same" in text
     assert f"1 ({100 / len(rows):.1f} %) of {len(rows)} executions under a changed simulation" in text
     assert text != (release / DATASHEET).read_text(encoding="utf-8")
 
