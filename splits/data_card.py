@@ -99,7 +99,7 @@ def render_card(
         "`DATASHEET.md` answers the questions of a datasheet; `croissant.json` describes every column for machines."
     )
     blocks = [
-        front_matter(rows, facts),
+        front_matter(rows, dict(joined["split"].value_counts().iter_rows()), facts),
         f"# PlaceBench {facts['tier']} {facts['version']}",
         _INTRODUCTION,
         _facts(frames, facts),

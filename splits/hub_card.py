@@ -76,11 +76,12 @@ Heavy tables are files like all others where they are there: `pl.scan_parquet("p
 `load_dataset("parquet", data_files="plans.parquet")`."""
 
 
-def front_matter(rows: Mapping[str, int], facts: Mapping[str, str]) -> str:
-    """The YAML block that opens the card.
+def front_matter(rows: Mapping[str, int], by_split: Mapping[str, int], facts: Mapping[str, str]) -> str:
+    """The YAML block that opens the card. Files without a row are not in it: loaders fail on them.
 
     Args:
         rows: rows of each table of the release by name.
+        by_split: candidates of each split.
         facts: at least `tier` and `version`.
     """
     lines = [
@@ -99,14 +100,15 @@ def front_matter(rows: Mapping[str, int], facts: Mapping[str, str]) -> str:
     for name in sorted(configs(rows), key=lambda name: (name != DEFAULT_CONFIG, name)):
         splits = [split.value for split in Split] if name in BY_SPLIT else [UNDIVIDED]
         lines += [f"- config_name: {name}", *(["  default: true"] if name == DEFAULT_CONFIG else []), "  data_files:"]
-        for split, file in zip(splits, files_of_table(name), strict=True):
+        parts = zip(splits, files_of_table(name), strict=True)
+        for split, file in ((split, file) for split, file in parts if split == UNDIVIDED or by_split.get(split)):
             lines += [f"  - split: {split}", f"    path: {file}"]
     return "\n".join([*lines, "---"])
 
 
 def configs(rows: Mapping[str, int]) -> tuple[str, ...]:
-    """The tables that have a config: all that every copy of the release holds."""
-    return tuple(name for name in rows if name not in HEAVY_TABLES)
+    """The tables that have a config: all with rows that every copy of the release holds."""
+    return tuple(name for name, n_rows in rows.items() if n_rows and name not in HEAVY_TABLES)
 
 
 def _size(n_rows: int) -> str:

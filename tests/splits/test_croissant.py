@@ -45,6 +45,8 @@ def test_it_is_valid_without_errors_or_warnings(current: Path) -> None:
     assert metadata.ctx.is_v1_1()
     assert metadata.conforms_to == list(CONFORMS_TO)
     assert metadata.version == load_citation().version
+    assert metadata.data_limitations == limits()
+    assert all((metadata.data_collection, metadata.data_biases, metadata.data_use_cases, metadata.date_published, metadata.license))
 
 
 def test_the_validator_would_find_a_fault(content: dict[str, Any], tmp_path: Path) -> None:

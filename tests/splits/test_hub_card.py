@@ -18,8 +18,11 @@ import pytest
 import yaml
 
 from splits.hub_card import UNDIVIDED, configs, front_matter
-from splits.release import make_light
+from splits.release import make_light, write_release
 from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES
+from tables.store import table_from_rows
+from tests.model.synthetic_release import TOLERANCES
+from tests.splits.damage import PROVENANCE
 
 ONE_LINERS = 5
 
@@ -86,15 +89,24 @@ def test_the_front_matter_is_what_the_hub_reads(release: Path, release_tables: d
 
 @pytest.mark.parametrize(
     ("n_rows", "expected"),
-    [(0, "n<1K"), (999, "n<1K"), (1_000, "1K<n<10K"), (99_999, "10K<n<100K"), (250_000, "100K<n<1M"), (10**7, "n>10M")],
+    [(1, "n<1K"), (999, "n<1K"), (1_000, "1K<n<10K"), (99_999, "10K<n<100K"), (250_000, "100K<n<1M"), (10**7, "n>10M")],
 )
 def test_the_size_category_is_that_of_the_candidates(n_rows: int, expected: str) -> None:
-    front = front_matter({"candidates": n_rows, "grasps": 5}, {"tier": "full", "version": "1.0.0"})
+    front = front_matter({"candidates": n_rows, "grasps": 5}, {"train": n_rows}, {"tier": "full", "version": "1.0.0"})
     assert yaml.safe_load(front.strip("-"))["size_categories"] == [expected]
 
 
-def test_heavy_tables_are_no_config() -> None:
-    assert configs({"candidates": 1, "plans": 2, "timings": 3, "scenes": 4}) == ("candidates", "scenes")
+def test_heavy_and_empty_tables_are_no_config() -> None:
+    assert configs({"candidates": 1, "plans": 2, "timings": 3, "scenes": 4, "obstacles": 0}) == ("candidates", "scenes")
+
+
+def test_a_release_with_an_empty_split_loads(hub_datasets: Any, release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
+    test = [row["scene_id"] for row in release_tables["splits"].to_pylist() if row["split"] == "test"]
+    rows = [row | {"split": "train"} if row["scene_id"] in test else row for row in release_tables["splits"].to_pylist()]
+    tables = release_tables | {"splits": table_from_rows(ALL_SCHEMAS["splits"], rows)}
+    write_release(tables, tmp_path / "release", "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+    assert list(hub_datasets.load_dataset(str(tmp_path / "release"))) == ["train", "validation"]
+    assert pl.read_parquet(tmp_path / "release" / "candidates").height == release_tables["candidates"].num_rows
 
 
 def test_every_library_sees_the_same_rows_and_splits(release: Path, light: Path, release_tables: dict[str, pa.Table]) -> None:
