@@ -24,7 +24,7 @@ from splits.statements import (
     made_how,
 )
 from splits.summary import Part, Summary
-from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES
+from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES, SPLITS
 
 Answers = list[tuple[str, str]]
 
@@ -93,8 +93,9 @@ def _composition(manifest: Manifest, summary: Summary) -> Answers:
         ),
         (
             "Are there recommended data splits?",
-            "Train, validation and test in table `splits`; the files of `candidates` are divided by them. Scenes are held out whole,"
-            " stratified by category and obstacle count.",
+            "Scenes are held out whole. Table `splits` says where each belongs, and the files of `candidates` are divided by its column"
+            " `split`. Its columns:\n\n"
+            + _items([f"`{column.name}`: {column.meaning}" for column in SPLITS.columns if column.name not in SPLITS.key]),
         ),
         ("Are there errors, sources of noise or redundancies?", label_checks(summary)),
         (
