@@ -31,8 +31,9 @@ from pipelines.recipe import Recipe
 from pipelines.running.join import join_candidates, join_grasps
 from pipelines.running.shard_runner import read_timings
 from pipelines.stages import STAGES
+from splits.citation import CITATION_FILE
 from splits.leakage import find_leaks
-from splits.manifest import DATA_VERSION, read_manifest
+from splits.manifest import DATA_VERSION, MANIFEST, read_manifest
 from splits.provenance import git_commit
 from splits.release import release_errors, write_release
 from splits.release_laws import broken_laws
@@ -40,7 +41,7 @@ from splits.scene_groups import SplitParams, UniverseScene, split_rows
 from tables.columns import TableSchema
 from tables.identity import family_of_tier, scenes_of_shard, shards_of_tier
 from tables.schemas import ALL_SCHEMAS, CANDIDATES, GRASPS, OBJECT_TABLES, SPLITS
-from tables.store import read_table, read_tables, table_from_rows
+from tables.store import file_sha256, read_table, read_tables, table_from_rows
 
 RELEASE_CODE_VERSION = "1"  # of the joined tables and the splits
 FOLDER_CODE_VERSION = "4"  # of what stands around the tables in a release folder
@@ -169,8 +170,8 @@ def _splits_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult
                 *OBJECT_TABLES,
                 *(AssetDep(name, partition_mapping=shards_to_tiers) for name in _SHARD_TABLES),
             ],
-            description="Writes the release folder of a tier: Parquet tables, data card, and last the manifest with every checksum."
-            " Attempts, which are made from it, are in it from its next materialization on.",
+            description="Writes the release folder of a tier: Parquet tables, data card, datasheet, Croissant metadata, last the manifest"
+            " with every checksum. Attempts, which are made from it, are in it from its next materialization on.",
             group_name="release",
             code_version=FOLDER_CODE_VERSION,
             kinds={"parquet"},
@@ -208,8 +209,8 @@ def _write_release(benchmark: Benchmark, tier: str, directory: Path) -> list[Pat
         tables |= _of_tier(benchmark, tier, "attempts")
     recipe = benchmark.recipe_of_tier(tier)
     provenance = {**_provenance(recipe), "git_commit": git_commit()}
-    write_release(tables, directory, tier, DATA_VERSION, provenance, recipe.execution.tolerances)
-    return [path for path in directory.iterdir() if path.is_file()]
+    manifest = write_release(tables, directory, tier, DATA_VERSION, provenance, recipe.execution.tolerances)
+    return [directory / name for name in (MANIFEST, *manifest.files)]
 
 
 def _release_products(benchmark: Benchmark, tier: str) -> tuple[FilesProduct]:
@@ -217,6 +218,7 @@ def _release_products(benchmark: Benchmark, tier: str) -> tuple[FilesProduct]:
     made_from = {
         "code": FOLDER_CODE_VERSION,
         "data_version": DATA_VERSION,
+        "citation": file_sha256(CITATION_FILE),
         **object_hashes(benchmark, OBJECT_TABLES),
         **shard_hashes(benchmark, tier, _SHARD_TABLES),
         **tier_hashes(benchmark, tier, ("candidates", "grasps", "splits")),

@@ -66,6 +66,12 @@ def confidence_section(candidates: pl.DataFrame, attempts: pl.DataFrame | None) 
     )
 
 
+def count_flips(candidates: pl.DataFrame, attempts: pl.DataFrame) -> tuple[int, int]:
+    """Attempts that turn success into failure or back, and all attempts under a changed simulation."""
+    repeated = _compared(attempts, candidates.filter("y_plan"))
+    return int(repeated["flips"].sum()), repeated.height
+
+
 def _compared(attempts: pl.DataFrame, executed: pl.DataFrame) -> pl.DataFrame:
     """Perturbed attempts of executed candidates, beside the stored label, and whether they flip it."""
     kinds = pl.DataFrame([(p.value, kind) for kind, some in _KINDS.items() for p in some], schema=["perturbation", "kind"], orient="row")

@@ -13,7 +13,7 @@ from splits.errors import ReleaseError
 from splits.manifest import CARD, MANIFEST
 from splits.release_reader import Release
 from tables.identity import IdentityError
-from tests.splits.damage import Damage, copy_of, edited, republished, rewritten, sidecar, signed
+from tests.splits.damage import Damage, copy_of, edited, republished, rewritten, signed
 
 
 @pytest.mark.parametrize("verify", [False, True])
@@ -91,10 +91,10 @@ def test_a_table_that_is_not_there_is_named(release: Path) -> None:
 
 def test_a_table_that_is_not_what_the_manifest_says_is_not_read(release: Path, release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
     directory = copy_of(release, tmp_path)
-    sidecar("targets", rows=1)(directory)
+    signed("tables", "targets", "rows", to=1)(directory)
     republished(directory, "scenes", release_tables["scenes"].drop_columns(["n_obstacles"]))
     opened = Release.open(directory)
-    with pytest.raises(ReleaseError, match=r"targets\.parquet\.json: rows 1, manifest says 96"):
+    with pytest.raises(ReleaseError, match=r"targets\.parquet: 96 rows, manifest says 1"):
         opened.table("targets")
     with pytest.raises(ReleaseError, match=r"scenes\.parquet: column n_obstacles is missing"):
         opened.table("scenes")

@@ -15,7 +15,18 @@ from hypothesis import strategies as st
 
 from tables.columns import SchemaError, TableSchema, enum, flag, integer, integers, plain, real, reals, single
 from tables.schemas import ALL_SCHEMAS, EXECUTION_LABELS, SPLITS
-from tables.store import StoreError, content_hash, read_sidecar, read_table, read_tables, sidecar_path, table_from_rows, write_table
+from tables.store import (
+    StoreError,
+    content_hash,
+    read_parquet,
+    read_sidecar,
+    read_table,
+    read_tables,
+    sidecar_path,
+    table_from_rows,
+    write_parquet,
+    write_table,
+)
 from tables.vocabulary import Split
 
 SAMPLE = TableSchema(
@@ -169,6 +180,20 @@ def test_a_table_of_another_kind_is_refused(tmp_path: Path) -> None:
     write_table(SPLITS, table_from_rows(SPLITS, []), tmp_path / "t.parquet")
     with pytest.raises(StoreError, match="holds table 'splits'"):
         read_table(EXECUTION_LABELS, tmp_path / "t.parquet")
+
+
+def test_without_a_sidecar_it_is_the_same_file(tmp_path: Path) -> None:
+    table = table_from_rows(SAMPLE, [{"id": "a", "split": "train", "x_m": 0.5, "path": [1.0, 2.0]}])
+    write_table(SAMPLE, table, tmp_path / "with.parquet")
+    write_parquet(SAMPLE, table, tmp_path / "split=test" / "without.parquet")
+    assert (tmp_path / "split=test" / "without.parquet").read_bytes() == (tmp_path / "with.parquet").read_bytes()
+    assert [path.name for path in (tmp_path / "split=test").iterdir()] == ["without.parquet"]
+    assert read_parquet(SAMPLE, tmp_path / "split=test" / "without.parquet").equals(table), "no column is read from the folder's name"
+    with pytest.raises(SchemaError, match="sample: schema differs"):
+        write_parquet(SAMPLE, table.drop_columns(["path"]), tmp_path / "split=test" / "without.parquet")
+    assert read_parquet(SAMPLE, tmp_path / "split=test" / "without.parquet").equals(table)
+    with pytest.raises(StoreError, match="holds columns"):
+        read_parquet(SPLITS, tmp_path / "with.parquet")
 
 
 def test_a_failed_write_leaves_the_old_table(tmp_path: Path) -> None:
