@@ -25,6 +25,7 @@ class HandState:
 
     Attributes:
         T_base_hand: where the hand is, or was when it left.
+        left_fingers_m: opening of each finger when the hand left.
 
     Attributes from the first `enter` on:
         at: the model in charge.
@@ -38,6 +39,7 @@ class HandState:
         self._object_model, self._obstacles, self._params = object_model, obstacles, params
         self._scenes: dict[Carrier, SceneModel] = {}
         self.T_base_hand: Float[np.ndarray, "4 4"] = np.eye(4)
+        self.left_fingers_m: Float[np.ndarray, "2"] = np.zeros(2)
 
     def forget_models(self) -> None:
         """Free the compiled models."""
@@ -63,7 +65,9 @@ class HandState:
         T_base_object, T_tcp_object = self.object_pose(), None
         before, data = self.at, self.data
         v, w = self.object_twist()
-        if carrier is not Carrier.NO_HAND:
+        if carrier is Carrier.NO_HAND:
+            self.left_fingers_m = self.fingers_m()
+        else:
             T_tcp_object = inverse(self.tcp_pose()) @ T_base_object
             fingers = data.qpos[before.finger_q,], data.qvel[before.finger_v,]
         R = self.T_base_frame[:3, :3]
@@ -90,6 +94,12 @@ class HandState:
         """Put the object somewhere in the frame; its velocity stays."""
         pose, a = pose_of(T_frame_object), self.at.object_q
         self.data.qpos[a : a + 7] = [*pose[:3], pose[6], *pose[3:6]]
+
+    def fingers_m(self) -> Float[np.ndarray, "2"]:
+        """Opening of each finger; as the hand left with, once it has."""
+        if self.at.carrier is Carrier.NO_HAND:
+            return self.left_fingers_m.copy()
+        return np.asarray(self.data.qpos[self.at.finger_q,].copy())
 
     def object_rotation(self) -> Float[np.ndarray, "3 3"]:
         """R_frame_object."""

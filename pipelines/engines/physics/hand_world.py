@@ -250,8 +250,8 @@ class HandWorld:
         return np.asarray(inverse(self.tcp_pose()) @ self.object_pose())
 
     def arm_state(self) -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "2"]]:
-        """Arm configuration in radians and opening of each finger in metres."""
-        return self._q.copy(), self._state.data.qpos[self._state.at.finger_q,].copy()
+        """Arm configuration in radians and opening of each finger in metres, as the hand left with once it has."""
+        return self._q.copy(), self._state.fingers_m()
 
     def impulse_n_s(self, body: str, other: str) -> float:
         """Contact impulse between "object" or "robot" and table or an obstacle since the start: the force's size summed over every step."""

@@ -55,6 +55,10 @@ def test_what_the_turning_hand_loses_flies_on_a_parabola(object_model: ObjectMod
         start = (T0 @ T_tcp_object @ np.array([*object_model.com_m, 1.0]))[:3]
         move(world, Phase.TRANSPORT, swing())
         assert world.is_lost
+        # The state can still be told: the hand is where it left.
+        q, fingers_m = world.arm_state()
+        assert np.abs(fk(q) - world.tcp_pose()).max() < 1e-9
+        assert np.abs(fingers_m - 0.04).max() < 1e-4
         handed_over, at = world.n_steps, world.object_pose()
         for _ in range(60):
             world.step()
