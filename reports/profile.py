@@ -21,7 +21,7 @@ from reports.metrics import Estimate, coverage, group_ranks, proportion
 from reports.policies import POLICIES, RANDOM, ranked
 from reports.ranking import KS, TASK_TITLE, rank_groups, timing_frame
 from reports.report import Report
-from reports.split_sizes import split_rows, splits_figure
+from reports.split_sizes import size_rows, splits_figure
 from splits.markdown import count, percent, share, table
 from tables.vocabulary import AdmissionStatus, Category, ExecStatus, LiftStatus, PlanStatus, SplitScheme
 
@@ -101,7 +101,7 @@ def _sizes(
         metrics[f"{name}_per_scene"] = float(values.mean())
     n_fixed = max(1, groups[Task.FIXED].height)
     rows.append(["candidates a fixed-target group", f"{frame.height / n_fixed:.1f}", f"{paper.CANDIDATES_PER_FIXED_GROUP_TEST} (test)"])
-    rows += split_rows(frame, scheme)
+    rows += size_rows(frame, scheme)
     return table(["", "ours", "paper"], rows), metrics
 
 

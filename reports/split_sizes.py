@@ -13,7 +13,7 @@ from splits.markdown import share
 from tables.vocabulary import Split, SplitScheme
 
 
-def split_rows(frame: pl.DataFrame, scheme: SplitScheme) -> list[list[object]]:
+def size_rows(frame: pl.DataFrame, scheme: SplitScheme) -> list[list[object]]:
     """Candidates of each split beside the paper's, which has them for its own scheme only.
 
     Args:

@@ -139,7 +139,7 @@ def test_a_release_is_checked_by_and_states_its_own_tolerances(release_tables: d
     ("version", "tolerances", "message"),
     [
         ("0.1", {}, "version '0.1', must be major.minor.patch"),
-        ("1.0.0", {}, r"version 1.0.0 is of a newer major version than this code knows \(0.3.0\)"),
+        ("1.0.0", {}, r"version 1.0.0 is of a newer major version than this code knows \(0.4.0\)"),
         ("0.1.0", {"position_tolerance_m": 0.0}, r"position_tolerance_m 0.0, must be a number in \(0, 1\]"),
         ("0.1.0", {"rotation_tolerance_rad": float("nan")}, r"rotation_tolerance_rad nan, must be a number in \(0, 3.142\]"),
     ],

@@ -41,7 +41,7 @@ SIGNED: list[tuple[str, Damage, list[str]]] = [
     (
         "newer data",
         signed("version", to="1.0.0"),
-        ["version 1.0.0 is of a newer major version than this code knows (0.3.0)", "newer PlaceBench"],
+        ["version 1.0.0 is of a newer major version than this code knows (0.4.0)", "newer PlaceBench"],
     ),
     (
         "a newer schema",
