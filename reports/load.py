@@ -121,7 +121,7 @@ def scheme_note(scheme: SplitScheme) -> list[str]:
         return []
     meaning = next(column.meaning for column in SPLITS.columns if column.name == scheme.column)
     return [
-        f"> **Train, validation and test are those of `{scheme.column}`**, {meaning}. Figures of the paper are of its split by scene, where"
+        f"> **Split `{scheme.column}`**: {meaning}. Figures of the paper are of its split by scene, where"
         " every object, category and obstacle count is trained on: what a split decides has none of them beside it."
     ]
 

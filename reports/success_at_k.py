@@ -72,7 +72,7 @@ def success_at_k_report(
     groups = {task: group_frame(tables, task, scheme) for task in Task}
     inputs = _Inputs(tier, scheme, seed, chosen, candidates, groups, timing_frame(tables, ranker_timings))
 
-    blocks = [f"# S_K on tier {tier}{of_scheme(scheme)}", *scheme_note(scheme), _introduction(chosen, seeds)]
+    blocks = [f"# S_K on tier {tier}{of_scheme(scheme)}", *scheme_note(scheme), _introduction(chosen, seeds, scheme)]
     metrics: dict[str, float] = {}
     figures: dict[str, bytes] = {}
     for split in _SPLITS:
@@ -89,19 +89,24 @@ def success_at_k_report(
     return Report("success_at_k", "\n\n".join(blocks) + "\n", figures, metrics)
 
 
-def _introduction(chosen: int | None, seeds: Sequence[int]) -> str:
+def _introduction(chosen: int | None, seeds: Sequence[int], scheme: SplitScheme) -> str:
     ranker = (
         f"The ranker is the one trained with seed {chosen} (of {len(seeds)} trained: {', '.join(map(str, seeds))})."
         if chosen is not None
         else "**No ranker was scored: its rows are missing.**"
+    )
+    in_paper = (
+        f" *Paper* is {paper.RANKING_SOURCE}: Isaac Sim and cuMotion there, MuJoCo, PyBullet and OMPL here, so the protocol is the same and"
+        " the labels are not."
+        if scheme is SplitScheme.SCENE
+        else ""
     )
     return (
         "A group is *covered* when it holds a success; S_K is the share of covered groups with a success among the first K tried. Every"
         " policy orders the same candidates and breaks ties by the candidate's hash. Endpoint policies try what passes first and the rest"
         " after it. Intervals are 95 % and take into account that the groups of a scene are alike. Decision time is core time of one CPU"
         " for all of a group's computations, fresh; the ranker's is wall-clock time from the scene's points to scores."
-        f" {ranker} *Paper* is {paper.RANKING_SOURCE}: Isaac Sim and cuMotion there, MuJoCo, PyBullet and OMPL here, so"
-        " the protocol is the same and the labels are not."
+        f" {ranker}{in_paper}"
     )
 
 

@@ -12,8 +12,8 @@ from tables.vocabulary import Split, SplitScheme
 
 _SCHEMES = [scheme for scheme in SplitScheme if scheme is not SplitScheme.SCENE]
 
-_ABOUT = """Table `splits` has a column for each of {n} more ways to hold scene groups out, so that
-`candidates.filter(pl.col("{example}") == "train")` is the training set of one of them after the same join as above.
+_ABOUT = """Table `splits` has {n} more columns, each another way to hold scene groups out. After the join of the queries below,
+`candidates.filter(pl.col("{example}") == "train")` is the training set of one of them.
 
 - `split_object`: unseen objects. A size class is the smaller or the larger half of a category by the volume of the box around an object
   (`size_x_m` times `size_y_m` times `size_z_m` in `objects`); of each class one object is in test alone and one in validation alone.
@@ -21,8 +21,8 @@ _ABOUT = """Table `splits` has a column for each of {n} more ways to hold scene 
 - `split_layout`: more clutter. Test has all scenes with two obstacles. Regions of targets are not held out: the targets of a scene lie
   all over the table, and a scene group is never split.
 
-What `split_category_<name>` and `split_layout` do not hold out is in validation where `split` has it in validation, and else in train. So a
-ranker that was trained under one of these columns may be judged on the test scenes of the same column only: others were in its training.
+What `split_category_<name>` and `split_layout` do not hold out is in validation where `split` has it in validation, and else in train. A
+ranker that was trained under a column may be judged on the test scenes of that column only: it may have seen those of another.
 Rates differ between the parts because what is held out is easier or harder to place; compare policies within a part."""
 
 

@@ -159,17 +159,17 @@ EXECUTION_LABELS = TableSchema("execution_labels", "execution outcome of every p
 
 CANDIDATES = TableSchema("candidates", "the benchmark: every candidate with both labels", ("scene_id", "target_id", "grasp_id"), (*CANDIDATE_PAIRS.columns, *_PLANNING, *_EXECUTION))
 
-_SCHEMES = {
+_SPLIT_MEANINGS = {
     SplitScheme.SCENE: "train, validation or test",
-    SplitScheme.OBJECT: "the same by object: test is of 6 objects that no other part has, one of each size class; validation of 6 others",
-    SplitScheme.CATEGORY_CAN: "the same by category: test is all scenes with a can, validation and train have none",
-    SplitScheme.CATEGORY_MUG: "the same by category: test is all scenes with a mug, validation and train have none",
-    SplitScheme.CATEGORY_CUBOID: "the same by category: test is all scenes with a cuboid, validation and train have none",
-    SplitScheme.LAYOUT: "the same by layout: test is all scenes with 2 obstacles, validation and train have 0 or 1",
+    SplitScheme.OBJECT: "train, validation or test by object: test has 6 objects that no other split has, one of each size class; validation 6 others",
+    SplitScheme.CATEGORY_CAN: "train, validation or test by category: test has all scenes with a can, validation and train have none",
+    SplitScheme.CATEGORY_MUG: "train, validation or test by category: test has all scenes with a mug, validation and train have none",
+    SplitScheme.CATEGORY_CUBOID: "train, validation or test by category: test has all scenes with a cuboid, validation and train have none",
+    SplitScheme.LAYOUT: "train, validation or test by layout: test has all scenes with 2 obstacles, validation and train have 0 or 1",
 }
 
 SPLITS = TableSchema("splits", "who may see which scene group, a column a split scheme", ("scene_id",), (
-    _SCENE_ID, *(enum(scheme.column, Split, meaning) for scheme, meaning in _SCHEMES.items()),
+    _SCENE_ID, *(enum(scheme.column, Split, meaning) for scheme, meaning in _SPLIT_MEANINGS.items()),
 ), since="2.1.0")
 
 ATTEMPTS = TableSchema("attempts", "repeat executions of candidates, under a perturbation or in a fresh process", ("candidate_id", "perturbation", "repeat"), (
