@@ -13,6 +13,7 @@ from splits.citation import Citation
 from splits.confidence import confidence_section
 from splits.hub_card import READING, front_matter
 from splits.markdown import count, percent, share, table
+from splits.scheme_section import scheme_section
 from tables.columns import TableSchema
 from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES
 from tables.vocabulary import Category, ExecStatus, PlanStatus, Split
@@ -37,8 +38,8 @@ LIMITS = """\
 - **Simulation only.** Rigid bodies, Coulomb friction, convex parts instead of exact meshes. No label was confirmed on a robot.
 - **Labels near the tolerance are chaotic.** Contact dynamics amplify differences that mean nothing physically; the section on how sure
   the labels are says by how much.
-- **Known objects.** The splits hold out scenes, not objects: an object may occur in every split. Results say nothing about unseen
-  objects.
+- **Known objects.** Column `split` holds out scenes, not objects: an object may occur in all of its parts, and results on it say nothing
+  about unseen objects. `split_object` and `split_category_<name>` are for that, over 30 objects of three categories and no more.
 - **Supervision only.** Whatever is known only after planning or physics must not be a model input: the columns of `candidates` from
   `y_plan` on, `plans`, and the lifted and in-hand states in `grasps`.
 - **One grasp and one placement.** Regrasping, stacking and moving obstacles are not in the data."""
@@ -111,6 +112,7 @@ def render_card(
         _facts(frames, facts),
         f"## Splits\n\n{_ABOUT_SPLITS}",
         _splits(frames, joined),
+        scheme_section(frames, joined),
         f"## Outcomes\n\n{_ABOUT_OUTCOMES}",
         _outcomes(joined),
         "## Scenes",

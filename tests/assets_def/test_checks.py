@@ -181,6 +181,8 @@ LAW_FAULTS: list[tuple[str, str, Callable[[Rows], None], str]] = [
     ("candidates", "candidates", dropped(), "candidate_pairs: 1 of lifted grasps x targets are missing"),
     ("candidates", "grasps", changed({"lift_status": "lifted"}, lift_status="slipped"), "are missing in lifted grasps x targets"),
     ("splits", "splits", dropped(scene_id="mini-0000"), "scene_without_split: mini-0000"),
+    ("splits", "splits", changed({"scene_id": "mini-0000"}, split_category_can="train"), "not_held_out: mini-0000: category can in train"),
+    ("splits", "splits", changed({"scene_id": "mini-0000"}, split_layout="test"), "not_held_out: mini-0000: obstacles 0 in test"),
     ("splits", "candidates", changed({"scene_id": "mini-0000"}, candidate_id="mini-0008-t0-g63"), "candidate_of_another_scene"),
 ]
 
