@@ -34,9 +34,10 @@ from reports.metrics import coverage
 from reports.policies import FULL_PLANNER, IK_AND_GRIPPER, IK_ONLY, RANDOM
 from reports.ranking import rank_groups, timing_frame
 from splits.markdown import percent, table
-from splits.scene_groups import SplitParams, split_rows
-from tables.schemas import ALL_SCHEMAS, SPLITS
-from tables.store import read_tables, table_from_rows, write_text_atomically
+from splits.scene_groups import SplitParams
+from splits.schemes import split_table
+from tables.schemas import ALL_SCHEMAS
+from tables.store import read_tables, write_text_atomically
 
 CONSOLE = Console()
 # 38 scenes: every object at least once.
@@ -136,9 +137,9 @@ def row(knob: Knob, root: DataRoot, seed: int, shards: Sequence[str] = SHARDS) -
         for name in ("scenes", "targets", "candidate_pairs", "planning_labels", "execution_labels", "policy_features")
     }
     tables["candidates"] = join_candidates(tables["candidate_pairs"], tables["planning_labels"], tables["execution_labels"])
-    universe = [(a.scene_id, a.category, a.n_obstacles) for a in family_allocation(shards[0].partition("-")[0], catalogue_order())]
+    universe = family_allocation(shards[0].partition("-")[0], catalogue_order())
     scene_ids = tables["scenes"]["scene_id"].to_pylist()
-    tables["splits"] = table_from_rows(SPLITS, split_rows(scene_ids, universe, SplitParams(), seed))
+    tables["splits"] = split_table(scene_ids, universe, SplitParams(), seed)
     frame, untimed = candidate_frame(tables, seed), timing_frame({})
     executed = frame.filter(pl.col("y_plan"))
     ranked = {(policy, task): rank_groups(frame, policy, task, untimed) for policy in POLICIES for task in Task}

@@ -31,18 +31,21 @@ from pipelines.recipe import Recipe
 from pipelines.running.join import join_candidates, join_grasps
 from pipelines.running.shard_runner import read_timings
 from pipelines.stages import STAGES
+from splits.citation import CITATION_FILE
 from splits.leakage import find_leaks
-from splits.manifest import DATA_VERSION, read_manifest
+from splits.manifest import DATA_VERSION, MANIFEST, read_manifest
 from splits.provenance import git_commit
 from splits.release import release_errors, write_release
 from splits.release_laws import broken_laws
-from splits.scene_groups import SplitParams, UniverseScene, split_rows
+from splits.scene_groups import SplitParams
+from splits.schemes import catalogue_sizes, empty_parts, split_table
 from tables.columns import TableSchema
 from tables.identity import family_of_tier, scenes_of_shard, shards_of_tier
 from tables.schemas import ALL_SCHEMAS, CANDIDATES, GRASPS, OBJECT_TABLES, SPLITS
-from tables.store import read_table, read_tables, table_from_rows
+from tables.store import file_sha256, read_table, read_tables
 
-RELEASE_CODE_VERSION = "1"  # of the joined tables and the splits
+RELEASE_CODE_VERSION = "1"  # of the joined tables
+SPLITS_CODE_VERSION = "2"
 FOLDER_CODE_VERSION = "4"  # of what stands around the tables in a release folder
 
 # Released as they are; `candidates` and `grasps` replace the four tables they are joined from.
@@ -118,15 +121,21 @@ def _joined_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult
                 *(AssetDep(name, partition_mapping=shards_to_tiers) for name in ("scenes", "obstacles", "targets")),
                 "objects",
             ],
-            description="Assigns whole scene groups to train, validation and test by a hash of their id, stratified.",
+            description="Assigns whole scene groups to train, validation and test by a hash of their id, stratified; and again by object,"
+            " by category and by layout.",
             group_name="release",
-            code_version=RELEASE_CODE_VERSION,
+            code_version=SPLITS_CODE_VERSION,
             kinds={"parquet"},
         )
     ],
     check_specs=[
         schema_check_spec(SPLITS),
-        AssetCheckSpec("consistent", asset="splits", blocking=True, description="No scene group, candidate or geometry is in two splits."),
+        AssetCheckSpec(
+            "consistent",
+            asset="splits",
+            blocking=True,
+            description="No scene group, candidate or geometry is in two splits of a scheme; what a scheme holds out is in test alone.",
+        ),
     ],
     partitions_def=tier_partitions,
 )
@@ -134,15 +143,22 @@ def splits_table(context: AssetExecutionContext, benchmark: Benchmark) -> Iterat
     tier = context.partition_key
     (splits,) = _splits_products(benchmark, tier)
     scene_ids = [scene_id for shard in shards_of_tier(tier) for scene_id in scenes_of_shard(shard)]
-    rows = split_rows(scene_ids, _universe(benchmark, tier), SplitParams(), benchmark.recipe_of_tier(tier).seed)
-    yield from splits.publish(lambda: table_from_rows(SPLITS, rows))
+    universe, seed = benchmark.universe(family_of_tier(tier)), benchmark.recipe_of_tier(tier).seed
+    yield from splits.publish(lambda: split_table(scene_ids, universe, SplitParams(), seed))
+    for scheme, split in empty_parts(_of_tier(benchmark, tier, "splits")["splits"]):
+        context.log.warning(f"{tier} has no scene in {split} of scheme {scheme}: it can be used on a larger tier only")
     yield from _splits_checks(benchmark, tier)
 
 
 def _splits_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct]:
-    parameters = {"universe": _universe(benchmark, tier), "params": asdict(SplitParams()), "seed": benchmark.recipe_of_tier(tier).seed}
+    parameters = {
+        "universe": [asdict(allocation) for allocation in benchmark.universe(family_of_tier(tier))],
+        "params": asdict(SplitParams()),
+        "sizes": catalogue_sizes(),
+        "seed": benchmark.recipe_of_tier(tier).seed,
+    }
     parameters_sha256 = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()
-    made_from = {"code": RELEASE_CODE_VERSION, "tier": tier, "parameters": parameters_sha256}
+    made_from = {"code": SPLITS_CODE_VERSION, "tier": tier, "parameters": parameters_sha256}
     return (TableProduct(SPLITS, benchmark.root.tier_table(tier, "splits"), made_from, tier),)
 
 
@@ -169,8 +185,8 @@ def _splits_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult
                 *OBJECT_TABLES,
                 *(AssetDep(name, partition_mapping=shards_to_tiers) for name in _SHARD_TABLES),
             ],
-            description="Writes the release folder of a tier: Parquet tables, data card, and last the manifest with every checksum."
-            " Attempts, which are made from it, are in it from its next materialization on.",
+            description="Writes the release folder of a tier: Parquet tables, data card, datasheet, Croissant metadata, last the manifest"
+            " with every checksum. Attempts, which are made from it, are in it from its next materialization on.",
             group_name="release",
             code_version=FOLDER_CODE_VERSION,
             kinds={"parquet"},
@@ -208,8 +224,8 @@ def _write_release(benchmark: Benchmark, tier: str, directory: Path) -> list[Pat
         tables |= _of_tier(benchmark, tier, "attempts")
     recipe = benchmark.recipe_of_tier(tier)
     provenance = {**_provenance(recipe), "git_commit": git_commit()}
-    write_release(tables, directory, tier, DATA_VERSION, provenance, recipe.execution.tolerances)
-    return [path for path in directory.iterdir() if path.is_file()]
+    manifest = write_release(tables, directory, tier, DATA_VERSION, provenance, recipe.execution.tolerances)
+    return [directory / name for name in (MANIFEST, *manifest.files)]
 
 
 def _release_products(benchmark: Benchmark, tier: str) -> tuple[FilesProduct]:
@@ -217,6 +233,7 @@ def _release_products(benchmark: Benchmark, tier: str) -> tuple[FilesProduct]:
     made_from = {
         "code": FOLDER_CODE_VERSION,
         "data_version": DATA_VERSION,
+        "citation": file_sha256(CITATION_FILE),
         **object_hashes(benchmark, OBJECT_TABLES),
         **shard_hashes(benchmark, tier, _SHARD_TABLES),
         **tier_hashes(benchmark, tier, ("candidates", "grasps", "splits")),
@@ -253,10 +270,6 @@ def _joined_from(benchmark: Benchmark, tier: str, schema: TableSchema) -> tuple[
 
 def _of_tier(benchmark: Benchmark, tier: str, *names: str) -> dict[str, pa.Table]:
     return {name: read_table(ALL_SCHEMAS[name], benchmark.root.tier_table(tier, name)) for name in names}
-
-
-def _universe(benchmark: Benchmark, tier: str) -> list[UniverseScene]:
-    return [(a.scene_id, a.category, a.n_obstacles) for a in benchmark.universe(family_of_tier(tier))]
 
 
 def _provenance(recipe: Recipe) -> dict[str, str]:

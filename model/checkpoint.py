@@ -18,9 +18,10 @@ from model.inputs import KEY_COLUMNS, column_errors, contract_hash
 from model.outputs import check_writable, writing
 from model.ranker import Ranker
 from model.release_tables import manifest_sha256, published_sha256
-from model.settings import RankerSettings, Variant, check_seed, settings_from_dict, settings_to_dict, variant_named
+from model.settings import RankerSettings, Variant, check_seed, scheme_named, settings_from_dict, settings_to_dict, variant_named
 from tables.schemas import SCHEMA_VERSION
 from tables.store import file_sha256, write_bytes_atomically, write_text_atomically
+from tables.vocabulary import SplitScheme
 
 FORMAT_VERSION = 1
 
@@ -42,6 +43,7 @@ class TrainingIdentity:
     settings: RankerSettings
     release_sha256: str  # of the tables that are read: inputs, labels, splits
     manifest_sha256: str | None  # of manifest.json in the release; null for a folder without one
+    split_scheme: SplitScheme = SplitScheme.SCENE  # younger than the format: a checkpoint that does not say was trained under the paper's
 
     def __post_init__(self) -> None:
         check_seed(self.seed)
@@ -63,12 +65,14 @@ class Progress:
             raise CheckpointError(f"progress: best epoch {self.best_epoch}, must be in [0, {self.n_epochs_done})")
 
 
-def identity_of(release_dir: Path, variant: Variant, seed: int, settings: RankerSettings) -> TrainingIdentity:
+def identity_of(
+    release_dir: Path, variant: Variant, seed: int, settings: RankerSettings, scheme: SplitScheme = SplitScheme.SCENE
+) -> TrainingIdentity:
     """Identity of a training on a release; raises InputError where a table is missing or not the one that was published."""
     digest = hashlib.sha256()
     for table, sha256 in published_sha256(release_dir, sorted(KEY_COLUMNS)).items():
         digest.update(f"{table}:{sha256}\n".encode())
-    return TrainingIdentity(variant, seed, settings, digest.hexdigest(), manifest_sha256(release_dir))
+    return TrainingIdentity(variant, seed, settings, digest.hexdigest(), manifest_sha256(release_dir), scheme)
 
 
 def check_checkpoint_writable(directory: Path) -> None:
@@ -126,14 +130,16 @@ def input_errors(directory: Path) -> list[str]:
     """
     path = directory / _DESCRIPTION
     try:
-        selected = _read_description(directory).get(_INPUT_COLUMNS)
+        described = _read_description(directory)
+        identity, _ = _parsed(path, described)
     except CheckpointError as error:
         return [str(error)]
+    selected = described.get(_INPUT_COLUMNS)
     if not selected:
         return [f"{path}: {_INPUT_COLUMNS} is missing or empty, must name the columns that the training read"]
     if not isinstance(selected, dict) or not all(_is_list_of_names(columns) for columns in selected.values()):
         return [f"{path}: {_INPUT_COLUMNS} must map each table to a list of column names"]
-    return column_errors(selected)
+    return column_errors(selected, identity.split_scheme)
 
 
 def check_weights(ranker: Ranker, weights: Mapping[str, torch.Tensor], path: Path) -> None:
@@ -224,8 +230,12 @@ def _parsed(path: Path, described: Mapping[str, Any]) -> tuple[TrainingIdentity,
             if described[name] != expected:
                 raise CheckpointError(f"{name} is {described[name]}, must be {expected}")
         identity, progress = described["identity"], described["progress"]
-        settings = {"variant": variant_named(identity["variant"]), "settings": settings_from_dict(identity["settings"])}
-        return TrainingIdentity(**{**identity, **settings}), Progress(**{**progress, "history": tuple(progress["history"])})
+        parsed = {
+            "variant": variant_named(identity["variant"]),
+            "settings": settings_from_dict(identity["settings"]),
+            "split_scheme": scheme_named(identity.get("split_scheme", SplitScheme.SCENE)),
+        }
+        return TrainingIdentity(**{**identity, **parsed}), Progress(**{**progress, "history": tuple(progress["history"])})
     except RankerError as error:
         raise CheckpointError(f"{path}: {error}") from error
     except (KeyError, TypeError, OverflowError) as error:

@@ -22,7 +22,7 @@ from model.errors import ForbiddenColumnError, InputError
 from model.release_tables import read_table_columns, row_error
 from tables import schemas
 from tables.poses import inverse, matrix_of, pose_columns
-from tables.vocabulary import PointType
+from tables.vocabulary import PointType, SplitScheme
 
 # Point types as the network counts them; `target`, the virtual copy, is made in clouds.py and never stored.
 TYPE_NAMES = (PointType.ENVIRONMENT.value, PointType.OBJECT.value, "target", PointType.OBSTACLE.value)
@@ -40,7 +40,8 @@ FIVE_INPUTS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "object_relative_pose": {"grasps": pose_columns("grasp"), "scenes": pose_columns("object")},
     }
 )
-# Columns that say which row belongs to which; they order and join, and never reach the network.
+# Columns that say which row belongs to which; they order and join, and never reach the network. `split` stands for the column of the split
+# scheme that a reader is of: it reads no other.
 KEY_COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "scene_points": ("scene_id", "point"),
@@ -94,10 +95,15 @@ class ReleaseInputs:
 
 
 class InputReader:
-    """The one door through which inputs come in from a release: it lets the contract through and remembers what it selected."""
+    """The one door through which inputs come in from a release: it lets the contract through and remembers what it selected.
 
-    def __init__(self, release_dir: Path) -> None:
+    Args:
+        scheme: by what scenes are dealt to the splits.
+    """
+
+    def __init__(self, release_dir: Path, scheme: SplitScheme = SplitScheme.SCENE) -> None:
         self.release_dir = release_dir
+        self.scheme = scheme
         self._selected: dict[str, set[str]] = {}
 
     @property
@@ -112,7 +118,7 @@ class InputReader:
             ForbiddenColumnError: a column outside the five inputs and their keys.
             InputError: the table or a column does not exist, or a value that its schema does not allow.
         """
-        check_columns(table, columns)
+        check_columns(table, columns, self.scheme)
         rows = read_table_columns(self.release_dir, table, columns)
         self._selected.setdefault(table, set()).update(rows.column_names)
         return rows
@@ -171,20 +177,20 @@ def restricted(inputs: ReleaseInputs, groups: Int[np.ndarray, "k"]) -> ReleaseIn
     )
 
 
-def check_columns(table: str, columns: Sequence[str]) -> None:
+def check_columns(table: str, columns: Sequence[str], scheme: SplitScheme = SplitScheme.SCENE) -> None:
     """Raise ForbiddenColumnError for the first column that the contract does not name."""
     for column in columns:
-        refusal = _refusal(table, column)
+        refusal = _refusal(table, column, scheme)
         if refusal is not None:
             raise ForbiddenColumnError(refusal)
 
 
-def column_errors(selected: Mapping[str, Collection[str]]) -> list[str]:
+def column_errors(selected: Mapping[str, Collection[str]], scheme: SplitScheme = SplitScheme.SCENE) -> list[str]:
     """Each column, of those that a training read by table, that is forbidden or unknown, and each of the contract that it did not read."""
-    refusals = [_refusal(table, column) for table in sorted(selected) for column in sorted(selected[table])]
+    refusals = [_refusal(table, column, scheme) for table in sorted(selected) for column in sorted(selected[table])]
     errors = [refusal for refusal in refusals if refusal is not None]
     for table in sorted(KEY_COLUMNS):
-        missing = sorted(_allowed(table) - set(selected.get(table, ())))
+        missing = sorted(_allowed(table, scheme) - set(selected.get(table, ())))
         errors += [f"{table}.{column}: not read, must be: the contract names it" for column in missing]
     return errors
 
@@ -196,21 +202,23 @@ def contract_hash() -> str:
 
 
 def scenes_of_split(reader: InputReader, split: str) -> tuple[str, ...]:
-    """Ids of the scenes of a split, sorted."""
-    splits = reader.columns("splits", KEY_COLUMNS["splits"])
-    return tuple(sorted(splits.filter(pc.equal(splits["split"], split))["scene_id"].to_pylist()))
+    """Ids of the scenes of a split under the reader's scheme, sorted."""
+    column = reader.scheme.column
+    splits = reader.columns("splits", ("scene_id", column))
+    return tuple(sorted(splits.filter(pc.equal(splits[column], split))["scene_id"].to_pylist()))
 
 
-def _allowed(table: str) -> set[str]:
-    return set(KEY_COLUMNS.get(table, ())) | {name for sources in FIVE_INPUTS.values() for name in sources.get(table, ())}
+def _allowed(table: str, scheme: SplitScheme) -> set[str]:
+    keys = [scheme.column if (table, name) == ("splits", "split") else name for name in KEY_COLUMNS.get(table, ())]
+    return {*keys, *(name for sources in FIVE_INPUTS.values() for name in sources.get(table, ()))}
 
 
-def _refusal(table: str, column: str) -> str | None:
+def _refusal(table: str, column: str, scheme: SplitScheme) -> str | None:
     """Why a column may not be read as an input, or None where it may."""
     if column in FORBIDDEN_COLUMNS:
         return f"{table}.{column}: known only after pick-lift, planning or execution, must not be a model input"
-    if column not in _allowed(table):
-        return f"{table}.{column}: not one of the five inputs; of {table} the ranker reads {sorted(_allowed(table))}"
+    if column not in _allowed(table, scheme):
+        return f"{table}.{column}: not one of the five inputs; of {table} the ranker reads {sorted(_allowed(table, scheme))}"
     return None
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,24 +27,18 @@ _MANIFEST = "manifest.json"
 def read_table_columns(release_dir: Path, table: str, columns: Sequence[str]) -> pa.Table:
     """Named columns of a release table, dictionaries decoded, types, nulls, closed enums, numbers and keys checked.
 
-    The file is read as it is. Whether it is the file that was published is the question of `published_sha256`, asked afterwards: of a
+    A table is one file, or a folder with one file a split, whose rows then come in the order of their candidates.
+    The files are read as they are. Whether they are those that were published is the question of `published_sha256`, asked afterwards: of a
     table with an impossible value, the row and the value say more than a hash does.
 
     Raises:
         InputError: the table or a column does not exist or cannot be read, or a value that the schema does not allow.
     """
-    path = _table_path(release_dir, table)
+    path, files = release_dir / f"{table}.parquet", _table_files(release_dir, table)
     schema = {column.name: column for column in ALL_SCHEMAS[table].columns}
-    try:
-        with pq.ParquetFile(path) as file:
-            missing = [name for name in columns if name not in file.schema_arrow.names]
-            if missing:
-                raise InputError(f"{path}: column {missing[0]} is missing")
-            stored = file.read(columns=list(columns))
-        stored.validate(full=True)
-        rows = pa.table({name: _decoded(path, schema[name], stored[name]) for name in columns})
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as a table ({one_line(error)})") from error
+    rows = pa.concat_tables([_read_file(file, schema, columns) for file in files])
+    if len(files) > 1 and "candidate_id" in columns:
+        rows = rows.sort_by("candidate_id")
     for name in columns:
         _check_values(path, schema[name], rows)
     _check_keys(path, rows)
@@ -58,7 +53,9 @@ def row_error(path: Path, rows: pa.Table, row: int, problem: str) -> InputError:
 
 
 def published_sha256(release_dir: Path, tables: Iterable[str]) -> dict[str, str]:
-    """SHA-256 of table files, each equal to what its sidecar and the manifest of the release say, where there are any.
+    """SHA-256 of tables, the file of each equal to what its sidecar and the manifest of the release say, where there are any.
+
+    A table of several files has the SHA-256 of their names and hashes.
 
     Raises:
         InputError: a table is missing, differs from its sidecar or from the manifest, or one of the two cannot be read.
@@ -67,15 +64,20 @@ def published_sha256(release_dir: Path, tables: Iterable[str]) -> dict[str, str]
     listed = _json_object(manifest).get("files") if manifest.exists() else None
     found = {}
     for table in tables:
-        path = _table_path(release_dir, table)
-        found[table] = _file_sha256(path)
-        if sidecar_path(path).exists():
-            _check_sha256(path, found[table], sidecar_path(path), _json_object(sidecar_path(path)))
-        if manifest.exists():
-            entry = listed.get(path.name) if isinstance(listed, dict) else None
-            if not isinstance(entry, dict):
-                raise InputError(f"{manifest}: does not list table {table}, which the ranker reads")
-            _check_sha256(path, found[table], manifest, entry)
+        hashes = {path.relative_to(release_dir).as_posix(): _file_sha256(path) for path in _table_files(release_dir, table)}
+        for name, sha256 in hashes.items():
+            path = release_dir / name
+            if sidecar_path(path).exists():
+                _check_sha256(path, sha256, sidecar_path(path), _json_object(sidecar_path(path)))
+            if manifest.exists():
+                entry = listed.get(name) if isinstance(listed, dict) else None
+                if not isinstance(entry, dict):
+                    raise InputError(f"{manifest}: does not list table {table}, which the ranker reads")
+                _check_sha256(path, sha256, manifest, entry)
+        lost = sorted(name for name in listed or () if name.startswith(f"{table}/") and name not in hashes)
+        if lost:
+            raise InputError(f"{release_dir / lost[0]}: missing, must be a file of table {table}")
+        found[table] = hashes.popitem()[1] if len(hashes) == 1 else hashlib.sha256(json.dumps(hashes).encode()).hexdigest()
     return found
 
 
@@ -85,9 +87,13 @@ def manifest_sha256(release_dir: Path) -> str | None:
     return _file_sha256(path) if path.exists() else None
 
 
-def _table_path(release_dir: Path, table: str) -> Path:
+def _table_files(release_dir: Path, table: str) -> list[Path]:
+    """The file of a table, or its file of every split, sorted by name."""
     path = release_dir / f"{table}.parquet"
     try:
+        parts = [] if path.exists() else sorted(release_dir.glob(f"{table}/split=*/*.parquet"))
+        if parts:
+            return parts
         if not release_dir.is_dir():
             raise InputError(f"{release_dir}: {'not a folder' if release_dir.exists() else 'missing'}, must be the folder of a release")
         target = HEAVY_TABLES.get(table)
@@ -98,7 +104,20 @@ def _table_path(release_dir: Path, table: str) -> Path:
             raise InputError(f"{path}: {'not a file' if path.exists() else 'missing'}, must be a Parquet table of the release")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    return path
+    return [path]
+
+
+def _read_file(path: Path, schema: Mapping[str, Column], columns: Sequence[str]) -> pa.Table:
+    try:
+        with pq.ParquetFile(path) as file:
+            missing = [name for name in columns if name not in file.schema_arrow.names]
+            if missing:
+                raise InputError(f"{path}: column {missing[0]} is missing")
+            stored = file.read(columns=list(columns))
+        stored.validate(full=True)
+        return pa.table({name: _decoded(path, schema[name], stored[name]) for name in columns})
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as a table ({one_line(error)})") from error
 
 
 def _decoded(path: Path, column: Column, values: pa.ChunkedArray) -> pa.ChunkedArray:

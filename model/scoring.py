@@ -24,6 +24,7 @@ from model.inputs import InputReader, ReleaseInputs, read_inputs, restricted, sc
 from model.outputs import check_writable, writing
 from model.ranker import Prediction, Ranker
 from model.release_tables import published_sha256
+from model.settings import SCHEME_OF_PREDICTIONS
 from tables.schemas import PREDICTIONS
 from tables.store import sidecar_path, table_from_columns, write_table
 
@@ -94,14 +95,14 @@ def predict(ranker: Ranker, release: EncodedRelease, groups: Int[np.ndarray, "g"
 def decision_times(
     release_dir: Path, checkpoint_dir: Path, split: str = "test", n_scenes: int = 20, device: str = "auto"
 ) -> list[DecisionTime]:
-    """Decision time of the joint group and of every fixed-target group of the first `n_scenes` scenes of a split.
+    """Decision time of the joint group and of every fixed-target group of the first `n_scenes` scenes of a split of the ranker's scheme.
 
     Wall-clock, one group at a time, the device synchronised before and after; the first scene is decided once beforehand, unmeasured.
     """
     ranker, identity, _ = load_checkpoint(checkpoint_dir)
     chosen_device = device_named(device)
     ranker = ranker.to(chosen_device)
-    reader = InputReader(release_dir)
+    reader = InputReader(release_dir, identity.split_scheme)
     inputs = read_inputs(reader, scenes_of_split(reader, split)[:n_scenes])
     times = []
     with deterministic(identity.settings, chosen_device):
@@ -169,10 +170,11 @@ def main(arguments: list[str] | None = None) -> int:
         for path in (options.out, sidecar_path(options.out)):
             check_writable(path)
         predictions = score(options.release, options.checkpoint, options.device)
+        _, identity, _ = load_checkpoint(options.checkpoint)
         if options.time:
             times = decision_times(options.release, options.checkpoint, n_scenes=options.time, device=options.device)
         with writing(options.out):
-            write_table(PREDICTIONS, predictions, options.out)
+            write_table(PREDICTIONS, predictions, options.out, {SCHEME_OF_PREDICTIONS: identity.split_scheme.value})
     except RankerError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

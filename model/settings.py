@@ -10,6 +10,10 @@ from enum import StrEnum
 from typing import Any
 
 from model.errors import SettingsError
+from tables.vocabulary import SplitScheme
+
+# Under this name the sidecar of a table of predictions says which split scheme its rankers were trained under; without it, the paper's.
+SCHEME_OF_PREDICTIONS = "split_scheme"
 
 
 class Variant(StrEnum):
@@ -149,6 +153,14 @@ def variant_named(name: str) -> Variant:
         return Variant(name)
     except ValueError:
         raise SettingsError(f"variant {name!r}, must be one of {[v.value for v in Variant]}") from None
+
+
+def scheme_named(name: str) -> SplitScheme:
+    """The split scheme of that name; raises SettingsError on another name."""
+    try:
+        return SplitScheme(name)
+    except ValueError:
+        raise SettingsError(f"split {name!r}, must be one of {[s.value for s in SplitScheme]}") from None
 
 
 def check_seed(seed: int) -> None:

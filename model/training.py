@@ -1,6 +1,6 @@
 """Training of one ranker: seeded, resumable, the best epoch chosen on validation scenes; test scenes are never read.
 
-`python -m model.training --release DIR --variant full --seed 42 --setting light --out DIR`
+`python -m model.training --release DIR --variant full --seed 42 --setting light --out DIR [--split object]`
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from model.errors import RankerError, TrainingError
 from model.inputs import InputReader, ReleaseInputs, read_inputs, scenes_of_split
 from model.labels import Labels, read_labels
 from model.optimisation import Examples, HistoryRow, Run
-from model.settings import RankerSettings, Variant, check_seed, settings_named, variant_named
-from tables.vocabulary import Split
+from model.settings import RankerSettings, Variant, check_seed, scheme_named, settings_named, variant_named
+from tables.vocabulary import Split, SplitScheme
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +52,7 @@ def train(
     settings: RankerSettings,
     out_dir: Path,
     *,
+    scheme: SplitScheme | str = SplitScheme.SCENE,
     device: str = "auto",
     resume: bool = False,
     on_epoch: Callable[[HistoryRow], None] | None = None,
@@ -63,19 +64,20 @@ def train(
     group is covered the loss alone decides; `selected_by` says which. Nothing is written before all that is read has been checked.
 
     Args:
-        resume: continue from the state in `out_dir` if it is of this very training (variant, seed, settings, release); the result is that
-            of an uninterrupted training.
+        scheme: by what scenes are dealt to train, validation and test; the paper's split without it.
+        resume: continue from the state in `out_dir` if it is of this very training (variant, seed, settings, scheme, release); the result
+            is that of an uninterrupted training.
         on_epoch: called with each history row.
 
     Raises:
         RankerError: bad settings or release, no training or no validation candidates, no place to write to, a loss that is not finite.
     """
-    variant = variant_named(variant)
+    variant, scheme = variant_named(variant), scheme_named(scheme)
     chosen_device = device_named(device)
     check_seed(seed)
-    reader = InputReader(release_dir)
+    reader = InputReader(release_dir, scheme)
     read = [_read_split(reader, split) for split in (Split.TRAIN, Split.VALIDATION)]
-    identity = identity_of(release_dir, variant, seed, settings)
+    identity = identity_of(release_dir, variant, seed, settings, scheme)
     check_checkpoint_writable(out_dir)
     training, validation = (_examples(inputs, labels, settings, variant) for inputs, labels in read)
 
@@ -108,7 +110,8 @@ def _read_split(reader: InputReader, split: Split) -> tuple[ReleaseInputs, Label
     """Inputs and labels of the scenes of a split; raises TrainingError where none has a candidate."""
     inputs = read_inputs(reader, scenes_of_split(reader, split.value))
     if not inputs.candidate_ids:
-        raise TrainingError(f"{reader.release_dir}: the {split.value} split has 0 candidates, must have at least 1")
+        of = "" if reader.scheme is SplitScheme.SCENE else f" of scheme {reader.scheme.value}"
+        raise TrainingError(f"{reader.release_dir}: the {split.value} split{of} has 0 candidates, must have at least 1")
     return inputs, read_labels(reader.release_dir, inputs.candidate_ids)
 
 
@@ -121,6 +124,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--release", type=Path, required=True, help="folder with <table>.parquet")
     parser.add_argument("--variant", default=Variant.FULL.value, help=f"one of {', '.join(v.value for v in Variant)}")
     parser.add_argument("--seed", type=int, default=42)
+    parser.add_argument("--split", default=SplitScheme.SCENE.value, help=f"one of {', '.join(s.value for s in SplitScheme)}")
     parser.add_argument("--setting", default="full", help="light (mini, CPU) or full (GPU)")
     parser.add_argument("--epochs", type=int, help="number of epochs, instead of that of the setting")
     parser.add_argument("--out", type=Path, required=True, help="checkpoint folder to write")
@@ -132,7 +136,7 @@ def main(arguments: list[str] | None = None) -> int:
         settings = settings_named(options.setting)
         if options.epochs is not None:
             settings = replace(settings, n_epochs=options.epochs)
-        keywords = {"device": options.device, "resume": options.resume}
+        keywords = {"scheme": options.split, "device": options.device, "resume": options.resume}
         result = train(options.release, options.variant, options.seed, settings, options.out, on_epoch=_print_row, **keywords)
     except RankerError as error:
         print(f"error: {error}", file=sys.stderr)

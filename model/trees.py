@@ -27,7 +27,7 @@ from model.settings import check_seed
 from tables.identity import order_key
 from tables.schemas import PREDICTIONS
 from tables.store import table_from_columns
-from tables.vocabulary import Split
+from tables.vocabulary import Split, SplitScheme
 
 
 class TreeVariant(StrEnum):
@@ -131,11 +131,13 @@ def fit_trees(
     return Trees(variant, heads[0], heads[1])
 
 
-def split_predictions(release_dir: Path, data: TreeData, variant: TreeVariant, seed: int) -> pa.Table:
-    """Rows of `predictions` for every candidate, by trees that saw the train split alone."""
-    train = data.of_scenes(scenes_of_split(InputReader(release_dir), Split.TRAIN.value))
+def split_predictions(
+    release_dir: Path, data: TreeData, variant: TreeVariant, seed: int, scheme: SplitScheme = SplitScheme.SCENE
+) -> pa.Table:
+    """Rows of `predictions` for every candidate, by trees that saw the train split of a scheme alone."""
+    train = data.of_scenes(scenes_of_split(InputReader(release_dir, scheme), Split.TRAIN.value))
     if not train.any():
-        raise TrainingError(f"{release_dir}: the train split has 0 candidates, must have at least 1")
+        raise TrainingError(f"{release_dir}: the train split of scheme {scheme.value} has 0 candidates, must have at least 1")
     trees = fit_trees(data.geometry[train], _rows(data.labels, train), variant, seed)
     return _predictions(data.inputs, trees.log_probabilities(data.geometry), variant, seed)
 

@@ -15,6 +15,8 @@ from splits.manifest import ABOUT_THE_RELEASE, MEASUREMENTS
 from splits.release import REQUIRED_TABLES
 from splits.release_reader import Release
 from tables.identity import order_key
+from tables.schemas import SPLITS
+from tables.vocabulary import Split, SplitScheme
 
 _OPTIONAL_TABLES = (*MEASUREMENTS, *ABOUT_THE_RELEASE)
 
@@ -60,7 +62,7 @@ def load_release(directory: Path, names: Sequence[str] | None = None) -> dict[st
     return release.tables(*names)
 
 
-def candidate_frame(tables: Mapping[str, pa.Table], seed: int) -> pl.DataFrame:
+def candidate_frame(tables: Mapping[str, pa.Table], seed: int, scheme: SplitScheme = SplitScheme.SCENE) -> pl.DataFrame:
     """One row a candidate: labels, split, resting pose of its target, endpoint features, and a random order that follows from its id.
 
     Columns beyond those of `candidates`: `split`, `resting`, `ik_feasible`, `gripper_free`, `success` (planned and executed validly)
@@ -69,13 +71,14 @@ def candidate_frame(tables: Mapping[str, pa.Table], seed: int) -> pl.DataFrame:
     Args:
         tables: at least `candidates`, `splits`, `targets`, `policy_features`.
         seed: seed of the hash order.
+        scheme: whose column of `splits` becomes `split`.
 
     Raises:
         ReportError: a candidate without split, target or features.
     """
     frame = (
         frame_of(tables["candidates"], _CANDIDATE_COLUMNS)
-        .join(frame_of(tables["splits"]), on="scene_id", how="left")
+        .join(_splits(tables, scheme), on="scene_id", how="left")
         .join(frame_of(tables["targets"], ["scene_id", "target_id", "resting"]), on=["scene_id", "target_id"], how="left")
         .join(frame_of(tables["policy_features"]), on="candidate_id", how="left")
     )
@@ -90,12 +93,38 @@ def candidate_frame(tables: Mapping[str, pa.Table], seed: int) -> pl.DataFrame:
     ).sort("candidate_id")
 
 
-def group_frame(tables: Mapping[str, pa.Table], task: Task) -> pl.DataFrame:
+def group_frame(tables: Mapping[str, pa.Table], task: Task, scheme: SplitScheme = SplitScheme.SCENE) -> pl.DataFrame:
     """One row a group, with or without candidates: its columns, `split`, `category`, `n_obstacles`, and `resting` for a fixed target."""
-    scenes = frame_of(tables["scenes"], ["scene_id", "object_id", "category", "n_obstacles"]).join(
-        frame_of(tables["splits"]), on="scene_id"
-    )
+    scenes = frame_of(tables["scenes"], ["scene_id", "object_id", "category", "n_obstacles"]).join(_splits(tables, scheme), on="scene_id")
     if task is Task.JOINT:
         return scenes.sort("scene_id")
     targets = frame_of(tables["targets"], ["scene_id", "target_id", "resting"])
     return scenes.join(targets, on="scene_id").sort("scene_id", "target_id")
+
+
+def check_parts(tables: Mapping[str, pa.Table], scheme: SplitScheme, needed: Sequence[Split]) -> None:
+    """Raise ReportError where a split that a report needs has no scene in this release, as may be in a small tier."""
+    found = set(_splits(tables, scheme)["split"].to_list())
+    for split in needed:
+        if split.value not in found:
+            raise ReportError(f"splits: 0 scenes in {split.value} of scheme {scheme.value}, must be at least 1: take a larger tier")
+
+
+def of_scheme(scheme: SplitScheme) -> str:
+    """What the title of a report adds: nothing for the paper's split."""
+    return "" if scheme is SplitScheme.SCENE else f", split `{scheme.value}`"
+
+
+def scheme_note(scheme: SplitScheme) -> list[str]:
+    """The block that stands below such a title; none for the paper's split."""
+    if scheme is SplitScheme.SCENE:
+        return []
+    meaning = next(column.meaning for column in SPLITS.columns if column.name == scheme.column)
+    return [
+        f"> **Split `{scheme.column}`**: {meaning}. Figures of the paper are of its split by scene, where"
+        " every object, category and obstacle count is trained on: what a split decides has none of them beside it."
+    ]
+
+
+def _splits(tables: Mapping[str, pa.Table], scheme: SplitScheme) -> pl.DataFrame:
+    return frame_of(tables["splits"], ["scene_id", scheme.column]).rename({scheme.column: "split"})

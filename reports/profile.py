@@ -1,7 +1,11 @@
-"""Report on the dataset itself: sizes, outcomes, coverage, ladder of policies, and what the labels cost; no trained model takes part."""
+"""Report on the dataset itself: sizes, outcomes, coverage, ladder of policies, and what the labels cost; no trained model takes part.
+
+`python -m reports.profile data/release/pilot [--split object] [--out DIR]`
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 
 import polars as pl
@@ -9,46 +13,50 @@ import pyarrow as pa
 
 from pipelines.frames import frame_of
 from reports import paper
+from reports.command import Asked, report_command
 from reports.core_time import core_time_section
-from reports.figures import LadderBar, counts_figure, funnel_figure, ladder_figure, shares_figure, status_figure
-from reports.load import Task, candidate_frame, group_frame
+from reports.figures import LadderBar, funnel_figure, ladder_figure, shares_figure, status_figure
+from reports.load import Task, candidate_frame, group_frame, of_scheme, scheme_note
 from reports.metrics import Estimate, coverage, group_ranks, proportion
 from reports.policies import POLICIES, RANDOM, ranked
 from reports.ranking import KS, TASK_TITLE, rank_groups, timing_frame
 from reports.report import Report
+from reports.split_sizes import size_rows, splits_figure
 from splits.markdown import count, percent, share, table
-from tables.vocabulary import AdmissionStatus, Category, ExecStatus, LiftStatus, PlanStatus, Split
+from tables.vocabulary import AdmissionStatus, Category, ExecStatus, LiftStatus, PlanStatus, SplitScheme
 
 MIN_LIFTED_SHARE = 0.75  # of an object's admitted grasps; a pool that lifts less asks for a reason
 
 _UNLEARNED = tuple(policy for policy in POLICIES if not policy.is_learned)
 
 
-def profile_report(tables: Mapping[str, pa.Table], *, tier: str, seed: int) -> Report:
+def profile_report(tables: Mapping[str, pa.Table], *, tier: str, seed: int, scheme: SplitScheme = SplitScheme.SCENE) -> Report:
     """Report `profile`.
 
     Args:
         tables: a release: `candidates`, `grasps`, `scenes`, `targets`, `splits`, `policy_features`, and `timings` where costs are wanted.
         tier: printed in the title.
         seed: seed of the hash order.
+        scheme: by what scenes are dealt to the splits, whose sizes are shown; everything else is over all of them.
     """
-    frame = candidate_frame(tables, seed)
-    groups = {task: group_frame(tables, task) for task in Task}
+    frame = candidate_frame(tables, seed, scheme)
+    groups = {task: group_frame(tables, task, scheme) for task in Task}
     grasps = frame_of(tables["grasps"], ["scene_id", "object_id", "admission_status", "lift_status"])
     grasps = grasps.join(groups[Task.JOINT].select("scene_id", "category"), on="scene_id")
     timings = timing_frame(tables)
-    sizes, metrics = _sizes(frame, groups, grasps)
+    sizes, metrics = _sizes(frame, groups, grasps, scheme)
     outcomes, figures = _outcomes(frame, grasps, tier)
     covered, covered_metrics, covered_figure = _coverage(frame, groups, tier)
     ladder, ladder_metrics, ladder_png = _ladder(frame, timings, tier)
     costs, cost_metrics = core_time_section(timings, frame.height)
     figures |= {
-        "profile-splits": _splits_figure(frame, groups, tier),
+        "profile-splits": splits_figure(frame, groups, f"{tier}{of_scheme(scheme)}".replace("`", "")),
         "profile-coverage": covered_figure,
         "profile-ladder": ladder_png,
     }
     blocks = [
-        f"# Dataset profile of tier {tier}",
+        f"# Dataset profile of tier {tier}{of_scheme(scheme)}",
+        *scheme_note(scheme),
         "*Paper* are the figures of a dataset made by the same protocol in Isaac Sim and cuMotion: landmarks, not targets. Intervals are"
         " 95 % and take into account that groups of a scene are alike.",
         "## Sizes",
@@ -62,7 +70,9 @@ def profile_report(tables: Mapping[str, pa.Table], *, tier: str, seed: int) -> R
     return Report("profile", "\n\n".join(blocks) + "\n", figures, metrics | covered_metrics | ladder_metrics | cost_metrics)
 
 
-def _sizes(frame: pl.DataFrame, groups: Mapping[Task, pl.DataFrame], grasps: pl.DataFrame) -> tuple[str, dict[str, float]]:
+def _sizes(
+    frame: pl.DataFrame, groups: Mapping[Task, pl.DataFrame], grasps: pl.DataFrame, scheme: SplitScheme
+) -> tuple[str, dict[str, float]]:
     scenes = groups[Task.JOINT].select("scene_id")
     per_scene = scenes.join(
         grasps.group_by("scene_id").agg(
@@ -91,9 +101,7 @@ def _sizes(frame: pl.DataFrame, groups: Mapping[Task, pl.DataFrame], grasps: pl.
         metrics[f"{name}_per_scene"] = float(values.mean())
     n_fixed = max(1, groups[Task.FIXED].height)
     rows.append(["candidates a fixed-target group", f"{frame.height / n_fixed:.1f}", f"{paper.CANDIDATES_PER_FIXED_GROUP_TEST} (test)"])
-    for split in Split:
-        n = frame.filter(pl.col("split") == split.value).height
-        rows.append([f"candidates of {split.value}", share(n, frame.height), share(paper.N_CANDIDATES[split.value], n_paper)])
+    rows += size_rows(frame, scheme)
     return table(["", "ours", "paper"], rows), metrics
 
 
@@ -286,13 +294,12 @@ def _ladder_by_part(frame: pl.DataFrame, task: Task, columns: Sequence[str]) -> 
     return table(["part", "covered groups", *(policy.label for policy in _UNLEARNED)], rows)
 
 
-def _splits_figure(frame: pl.DataFrame, groups: Mapping[Task, pl.DataFrame], tier: str) -> bytes:
-    counts = {
-        split.value: {
-            "scenes": groups[Task.JOINT].filter(pl.col("split") == split.value).height,
-            "fixed-target groups": groups[Task.FIXED].filter(pl.col("split") == split.value).height,
-            "candidates": frame.filter(pl.col("split") == split.value).height,
-        }
-        for split in Split
-    }
-    return counts_figure(counts, f"Splits of {tier}", "number (log scale)")
+def main(arguments: Sequence[str] | None = None) -> int:
+    def make(asked: Asked) -> Report:
+        return profile_report(asked.tables, tier=asked.tier, seed=asked.seed, scheme=asked.scheme)
+
+    return report_command("profile", make, arguments, takes_predictions=False)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

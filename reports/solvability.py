@@ -9,15 +9,17 @@ from reports import paper
 from reports.load import Task
 from reports.metrics import Recalls, auroc, best_threshold, recalls
 from splits.markdown import table
+from tables.vocabulary import SplitScheme
 
 
-def solvability_section(candidates: pl.DataFrame) -> tuple[list[str], dict[str, float]]:
+def solvability_section(candidates: pl.DataFrame, scheme: SplitScheme = SplitScheme.SCENE) -> tuple[list[str], dict[str, float]]:
     """Markdown blocks and metrics: groups scored by their largest p_succ, the threshold chosen on the validation split.
 
     A group without candidates has no score and is left out: nothing needs to be predicted about it.
 
     Args:
         candidates: candidate frame with `score`.
+        scheme: whose splits they are; the paper's rows stand below ours for its own only.
     """
     rows, metrics = [], {}
     for task in Task:
@@ -26,7 +28,7 @@ def solvability_section(candidates: pl.DataFrame) -> tuple[list[str], dict[str, 
         area = auroc(scores, labels)
         recall = None if threshold is None else recalls(scores, labels, threshold)
         rows.append(_row(f"{task.value}, ours", len(labels), int(labels.sum()), area, recall, threshold))
-        rows.append(_paper_row(task))
+        rows += [_paper_row(task)] if scheme is SplitScheme.SCENE else []
         prefix = f"test.{task.value}.solvability"
         if area is not None:
             metrics[f"{prefix}.auroc"] = area

@@ -1,7 +1,11 @@
-"""Report of the ranking task: S_K, coverage and decision time of every policy, on the test and validation splits and on all scenes."""
+"""Report of the ranking task: S_K, coverage and decision time of every policy, on the test and validation splits and on all scenes.
+
+`python -m reports.success_at_k data/release/pilot [--split object] [--predictions FILE ...] [--out DIR]`
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,14 +15,16 @@ import pyarrow as pa
 
 from pipelines.frames import frame_of
 from reports import paper
+from reports.command import Asked, report_command
 from reports.figures import LadderBar, ladder_figure
-from reports.load import Task, candidate_frame, group_frame
+from reports.load import Task, candidate_frame, group_frame, of_scheme, scheme_note
 from reports.metrics import MIN_SCENES, Estimate, coverage, expected_random_success, paired_difference, spread_of
 from reports.policies import FULL_PLANNER, ORACLE, PLAN_HEAD_ONLY, POLICIES, RANDOM, RANKER, prediction_seeds, with_predictions
 from reports.ranking import KS, TASK_TITLE, Ranking, rank_groups, timing_frame
 from reports.report import Report
 from reports.solvability import solvability_section
 from splits.markdown import table
+from tables.vocabulary import Split, SplitScheme
 
 # The paper compares policies with one checkpoint that was designated beforehand.
 DESIGNATED_SEED = 42
@@ -31,6 +37,7 @@ class _Inputs:
     """What every section reads; `candidates` has predictions where `training_seed` is set."""
 
     tier: str
+    scheme: SplitScheme
     seed: int
     training_seed: int | None
     candidates: pl.DataFrame
@@ -45,6 +52,7 @@ def success_at_k_report(
     *,
     tier: str,
     seed: int,
+    scheme: SplitScheme = SplitScheme.SCENE,
 ) -> Report:
     """Report `success_at_k`.
 
@@ -54,16 +62,17 @@ def success_at_k_report(
         ranker_timings: table `timings` with the stage `ranker`, see `ranking.ranker_timing_rows`.
         tier: printed in the title.
         seed: seed of the hash order and the resampling.
+        scheme: by what scenes are dealt to the splits; the one that the rankers of `predictions` were trained under.
     """
-    frame = candidate_frame(tables, seed)
+    frame = candidate_frame(tables, seed, scheme)
     scores = None if predictions is None else frame_of(predictions)
     seeds = prediction_seeds(predictions, "full")
     chosen = DESIGNATED_SEED if DESIGNATED_SEED in seeds else min(seeds, default=None)
     candidates = frame if scores is None or chosen is None else with_predictions(frame, scores, "full", chosen)
-    groups = {task: group_frame(tables, task) for task in Task}
-    inputs = _Inputs(tier, seed, chosen, candidates, groups, timing_frame(tables, ranker_timings))
+    groups = {task: group_frame(tables, task, scheme) for task in Task}
+    inputs = _Inputs(tier, scheme, seed, chosen, candidates, groups, timing_frame(tables, ranker_timings))
 
-    blocks = [f"# S_K on tier {tier}", _introduction(chosen, seeds)]
+    blocks = [f"# S_K on tier {tier}{of_scheme(scheme)}", *scheme_note(scheme), _introduction(chosen, seeds, scheme)]
     metrics: dict[str, float] = {}
     figures: dict[str, bytes] = {}
     for split in _SPLITS:
@@ -73,26 +82,31 @@ def success_at_k_report(
         metrics |= values
         figures[stem] = png
     if scores is not None and chosen is not None:
-        blocks += _seed_section(frame, scores, seeds)
-        section, values = solvability_section(candidates)
+        blocks += _seed_section(frame, scores, seeds, scheme)
+        section, values = solvability_section(candidates, scheme)
         blocks += section
         metrics |= values
     return Report("success_at_k", "\n\n".join(blocks) + "\n", figures, metrics)
 
 
-def _introduction(chosen: int | None, seeds: Sequence[int]) -> str:
+def _introduction(chosen: int | None, seeds: Sequence[int], scheme: SplitScheme) -> str:
     ranker = (
         f"The ranker is the one trained with seed {chosen} (of {len(seeds)} trained: {', '.join(map(str, seeds))})."
         if chosen is not None
         else "**No ranker was scored: its rows are missing.**"
+    )
+    in_paper = (
+        f" *Paper* is {paper.RANKING_SOURCE}: Isaac Sim and cuMotion there, MuJoCo, PyBullet and OMPL here, so the protocol is the same and"
+        " the labels are not."
+        if scheme is SplitScheme.SCENE
+        else ""
     )
     return (
         "A group is *covered* when it holds a success; S_K is the share of covered groups with a success among the first K tried. Every"
         " policy orders the same candidates and breaks ties by the candidate's hash. Endpoint policies try what passes first and the rest"
         " after it. Intervals are 95 % and take into account that the groups of a scene are alike. Decision time is core time of one CPU"
         " for all of a group's computations, fresh; the ranker's is wall-clock time from the scene's points to scores."
-        f" {ranker} *Paper* is {paper.RANKING_SOURCE}: Isaac Sim and cuMotion there, MuJoCo, PyBullet and OMPL here, so"
-        " the protocol is the same and the labels are not."
+        f" {ranker}{in_paper}"
     )
 
 
@@ -107,23 +121,26 @@ def _split_section(inputs: _Inputs, split: str) -> tuple[list[str], dict[str, fl
         groups = _of_split(inputs.groups[task], split)
         rankings = [rank_groups(candidates, policy, task, inputs.timings) for policy in policies]
         covered = coverage(groups, rankings[0].ranks, task)
-        blocks += _task_section(task, split, groups, rankings, covered)
+        blocks += _task_section(task, split, groups, rankings, covered, inputs.scheme)
         if is_scored:
             blocks.append(_gain(rankings, inputs.seed))
         metrics |= _metrics(f"{split}.{task.value}", rankings, covered)
-        panels[f"{TASK_TITLE[task]}, {rankings[0].covered.height:,} covered groups"] = _ladder(rankings, split)
-    return blocks, metrics, ladder_figure(panels, f"Success at K on covered groups, {inputs.tier}, {split}")
+        panels[f"{TASK_TITLE[task]}, {rankings[0].covered.height:,} covered groups"] = _ladder(rankings, split, inputs.scheme)
+    title = f"Success at K on covered groups, {inputs.tier}{of_scheme(inputs.scheme)}, {split}"
+    return blocks, metrics, ladder_figure(panels, title.replace("`", ""))
 
 
 def _of_split(frame: pl.DataFrame, split: str) -> pl.DataFrame:
     return frame if split == "all" else frame.filter(pl.col("split") == split)
 
 
-def _task_section(task: Task, split: str, groups: pl.DataFrame, rankings: Sequence[Ranking], covered: Estimate | None) -> list[str]:
+def _task_section(
+    task: Task, split: str, groups: pl.DataFrame, rankings: Sequence[Ranking], covered: Estimate | None, scheme: SplitScheme
+) -> list[str]:
     first = rankings[0]
     n_candidates = int(first.ranks["n_candidates"].sum())
     n_empty = groups.height - first.ranks.height
-    in_paper = paper.COVERAGE.get((split, task))
+    in_paper = paper.COVERAGE.get((split, task)) if scheme is SplitScheme.SCENE else None
     blocks = [
         f"### {TASK_TITLE[task]}, {split}",
         f"{groups.height:,} groups of {groups['scene_id'].n_unique():,} scenes, {n_candidates / max(1, groups.height):.1f} candidates"
@@ -137,7 +154,7 @@ def _task_section(task: Task, split: str, groups: pl.DataFrame, rankings: Sequen
             " policies inside them mean nothing.**"
         )
     # The paper compares policies on its test split only.
-    is_in_paper = split == "test"
+    is_in_paper = split == "test" and scheme is SplitScheme.SCENE
     rows = [_row(ranking, is_in_paper) for ranking in rankings]
     rows.insert(1, _expected_row(first, is_in_paper))
     header = ["policy", *(cell for k in KS for cell in _with_paper(is_in_paper, f"S{k} [95 %]", "paper"))]
@@ -204,7 +221,7 @@ def _gain(rankings: Sequence[Ranking], seed: int) -> str:
     return f"S1 of the ranker minus the full-pool planner's, paired over scenes: {gain} points."
 
 
-def _seed_section(frame: pl.DataFrame, scores: pl.DataFrame, seeds: Sequence[int]) -> list[str]:
+def _seed_section(frame: pl.DataFrame, scores: pl.DataFrame, seeds: Sequence[int], scheme: SplitScheme) -> list[str]:
     rows = []
     for split in ("validation", "test"):
         for task in Task:
@@ -213,7 +230,8 @@ def _seed_section(frame: pl.DataFrame, scores: pl.DataFrame, seeds: Sequence[int
                 own = _of_split(with_predictions(frame, scores, "full", training_seed), split)
                 for k, estimate in rank_groups(own, RANKER, task, timing_frame({})).s.items():
                     values[k] += [] if estimate is None else [100 * estimate.value]
-            cells = [c for k, theirs in zip(KS, paper.SEEDS[split, task], strict=True) for c in (_text(spread_of(values[k])), str(theirs))]
+            in_paper = map(str, paper.SEEDS[split, task]) if scheme is SplitScheme.SCENE else [None] * len(KS)
+            cells = [cell for k, theirs in zip(KS, in_paper, strict=True) for cell in (_text(spread_of(values[k])), theirs)]
             rows.append([f"{split}, {TASK_TITLE[task].lower()}", *cells])
     header = ["ranker", *(cell for k in KS for cell in (f"S{k}", "paper"))]
     what = (
@@ -243,14 +261,26 @@ def _metrics(prefix: str, rankings: Sequence[Ranking], covered: Estimate | None)
     return values
 
 
-def _ladder(rankings: Sequence[Ranking], split: str) -> list[LadderBar]:
+def _ladder(rankings: Sequence[Ranking], split: str, scheme: SplitScheme) -> list[LadderBar]:
+    is_in_paper = split == "test" and scheme is SplitScheme.SCENE
     bars = []
     for ranking in rankings:
         if ranking.policy in POLICIES:
-            theirs = paper.RANKING.get((ranking.task, ranking.policy.name)) if split == "test" else None
+            theirs = paper.RANKING.get((ranking.task, ranking.policy.name)) if is_in_paper else None
             bars.append(LadderBar(ranking.policy.label, ranking.s, {k: theirs.s(k) for k in KS} if theirs else {}))
     return bars
 
 
 def _text(value: object | None) -> str | None:
     return None if value is None else str(value)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    def make(asked: Asked) -> Report:
+        return success_at_k_report(asked.tables, asked.predictions, tier=asked.tier, seed=asked.seed, scheme=asked.scheme)
+
+    return report_command("success_at_k", make, arguments, needs=(Split.VALIDATION, Split.TEST))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,6 +1,6 @@
 """How far derived geometry alone ranks: gradient-boosted trees beside the policies that learn nothing, on the same groups.
 
-`python -m reports.trees_probe data/release/pilot [--cross-validate 5] [--seed 42] [--out DIR]`
+`python -m reports.trees_probe data/release/pilot [--split object | --cross-validate 5] [--seed 42] [--out DIR]`
 
 A release whose trees are near 100 leaves nothing for a better ranker to show; that is what the probe is for.
 """
@@ -19,9 +19,10 @@ import pyarrow as pa
 
 from model.features import CANDIDATE_GEOMETRY
 from model.geometry import geometry_table
+from model.settings import SCHEME_OF_PREDICTIONS, scheme_named
 from model.trees import TreeData, TreeVariant, cross_validated_predictions, read_tree_data, split_predictions
 from pipelines.frames import frame_of
-from reports.load import Task, candidate_frame, group_frame, load_release
+from reports.load import Task, candidate_frame, check_parts, group_frame, load_release, of_scheme, scheme_note
 from reports.metrics import (
     MIN_SCENES,
     Estimate,
@@ -34,11 +35,12 @@ from reports.metrics import (
     success_at_k,
 )
 from reports.policies import FULL_PLANNER, GRIPPER_ONLY, IK_AND_GRIPPER, IK_ONLY, RANDOM, Policy, ranked, with_predictions
-from reports.report import Report
+from reports.report import Report, ReportError
 from splits.markdown import percent, table
 from tables.errors import PlaceBenchError
 from tables.schemas import PREDICTIONS
 from tables.store import join_tables, write_table
+from tables.vocabulary import Split, SplitScheme
 
 HARD = (1, 2)  # successes of a fixed group that a lucky order hardly finds
 _TREES = {
@@ -48,14 +50,24 @@ _TREES = {
 _UNLEARNED = (RANDOM, IK_ONLY, GRIPPER_ONLY, IK_AND_GRIPPER, FULL_PLANNER)
 
 
-def tree_predictions(release_dir: Path, data: TreeData, seed: int, n_folds: int | None) -> pa.Table:
-    """Table `predictions` of both kinds of trees: trained on the train split, or cross-validated over all scenes."""
+def tree_predictions(
+    release_dir: Path, data: TreeData, seed: int, n_folds: int | None, scheme: SplitScheme = SplitScheme.SCENE
+) -> pa.Table:
+    """Table `predictions` of both kinds of trees: trained on the train split of a scheme, or cross-validated over all scenes."""
     if n_folds is None:
-        return join_tables(PREDICTIONS, [split_predictions(release_dir, data, variant, seed) for variant in TreeVariant])
+        return join_tables(PREDICTIONS, [split_predictions(release_dir, data, variant, seed, scheme) for variant in TreeVariant])
     return join_tables(PREDICTIONS, [cross_validated_predictions(data, variant, seed, n_folds) for variant in TreeVariant])
 
 
-def trees_probe_report(tables: Mapping[str, pa.Table], predictions: pa.Table, *, split: str, seed: int, title: str) -> Report:
+def trees_probe_report(
+    tables: Mapping[str, pa.Table],
+    predictions: pa.Table,
+    *,
+    split: str,
+    seed: int,
+    title: str,
+    scheme: SplitScheme = SplitScheme.SCENE,
+) -> Report:
     """Report `trees_probe`.
 
     Args:
@@ -64,8 +76,9 @@ def trees_probe_report(tables: Mapping[str, pa.Table], predictions: pa.Table, *,
         split: the split that is judged, or `all` where the predictions are cross-validated.
         seed: seed of the predictions, the hash order and the resampling.
         title: said in the heading.
+        scheme: whose splits they are; the one that the trees were trained under.
     """
-    frame = candidate_frame(tables, seed)
+    frame = candidate_frame(tables, seed, scheme)
     scores = frame_of(predictions)
     frames: dict[Policy, pl.DataFrame] = {policy: _of_split(frame, split) for policy in _UNLEARNED}
     for variant, policy in _TREES.items():
@@ -83,7 +96,16 @@ def trees_probe_report(tables: Mapping[str, pa.Table], predictions: pa.Table, *,
     heads, head_metrics = _heads(frames)
     gains, gain_metrics = _gains(ranks, seed)
     header = ["policy", "joint S1 [95 %]", "fixed S1 [95 %]", f"fixed S1, {HARD[0]} or {HARD[1]} successes"]
-    blocks = [f"# {title}", *_facts(tables, ranks, split), table(header, rows), heads, gains, _misses(frames[_TREES[TreeVariant.GEOMETRY]])]
+    facts = _facts({task: _of_split(group_frame(tables, task, scheme), split) for task in Task}, ranks)
+    blocks = [
+        f"# {title}{of_scheme(scheme)}",
+        *scheme_note(scheme),
+        *facts,
+        table(header, rows),
+        heads,
+        gains,
+        _misses(frames[_TREES[TreeVariant.GEOMETRY]]),
+    ]
     return Report("trees_probe", "\n\n".join(blocks) + "\n", metrics=metrics | head_metrics | gain_metrics)
 
 
@@ -95,7 +117,7 @@ def _hard(ranks: pl.DataFrame) -> pl.DataFrame:
     return ranks.filter(pl.col("n_success").is_in(HARD))
 
 
-def _facts(tables: Mapping[str, pa.Table], ranks: Mapping[tuple[Policy, Task], pl.DataFrame], split: str) -> list[str]:
+def _facts(groups: Mapping[Task, pl.DataFrame], ranks: Mapping[tuple[Policy, Task], pl.DataFrame]) -> list[str]:
     """How many groups there are, how many hold a success, and how many successes a covered one has."""
     lines = []
     for task in Task:
@@ -105,7 +127,7 @@ def _facts(tables: Mapping[str, pa.Table], ranks: Mapping[tuple[Policy, Task], p
         line = (
             f"{task.value.capitalize()}: {own.height:,} groups of {own['scene_id'].n_unique()} scenes,"
             f" {n_candidates.sum() / max(1, own.height):.1f} candidates each"
-            f"; covered {coverage(_of_split(group_frame(tables, task), split), own, task)} %."
+            f"; covered {coverage(groups[task], own, task)} %."
         )
         if is_covered.any():
             rate = float((n_success / n_candidates)[is_covered].mean())
@@ -181,20 +203,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m reports.trees_probe", description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("release", type=Path, help="folder of a release")
     parser.add_argument("--cross-validate", type=int, metavar="N", help="N folds over all scenes instead of train on train, judge on test")
+    parser.add_argument("--split", default=SplitScheme.SCENE.value, help=f"one of {', '.join(scheme.value for scheme in SplitScheme)}")
     parser.add_argument("--seed", type=int, default=42)
     parser.add_argument("--out", type=Path, help="folder for the report, the predictions and table candidate_geometry")
     options = parser.parse_args(arguments)
     try:
+        scheme = scheme_named(options.split)
+        if options.cross_validate is not None and scheme is not SplitScheme.SCENE:
+            raise ReportError(f"--split {scheme.value}: cross-validation is over all scenes, must be without --split")
         tables = load_release(options.release, ("candidates", "splits", "scenes", "targets", "policy_features"))
+        if options.cross_validate is None:
+            check_parts(tables, scheme, (Split.TRAIN, Split.TEST))
         data = read_tree_data(options.release)
-        predictions = tree_predictions(options.release, data, options.seed, options.cross_validate)
+        predictions = tree_predictions(options.release, data, options.seed, options.cross_validate, scheme)
         split = "test" if options.cross_validate is None else "all"
         how = "train split to test split" if options.cross_validate is None else f"{options.cross_validate}-fold over all scenes"
         title = f"Trees on {options.release.name}, {how}"
-        report = trees_probe_report(tables, predictions, split=split, seed=options.seed, title=title)
+        report = trees_probe_report(tables, predictions, split=split, seed=options.seed, title=title, scheme=scheme)
         if options.out is not None:
+            made_from = {SCHEME_OF_PREDICTIONS: scheme.value} if options.cross_validate is None else {}
             write_table(CANDIDATE_GEOMETRY, geometry_table(data.inputs, data.geometry), options.out / "candidate_geometry.parquet")
-            write_table(PREDICTIONS, predictions, options.out / "predictions.parquet")
+            write_table(PREDICTIONS, predictions, options.out / "predictions.parquet", made_from)
             report.write(options.out)
     except PlaceBenchError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -25,9 +25,10 @@ _KINDS = {
     "pad lever ±15 %": (Perturbation.PAD_LEVER_UP, Perturbation.PAD_LEVER_DOWN),
 }
 
-_ABOUT = """`y_pipe` is what one simulation said. Three columns say how near it is to saying otherwise: `tolerance_margin`, 1 minus the larger
-error over its tolerance, whose distance from 0 is the distance from the tolerance; and `transport_slip_m` with `transport_slip_rad`, how
-far the object moved and turned in the hand: what slips may fall or hold far from any tolerance, and a success has a bound on slip too."""
+_ABOUT = """`y_pipe` is what one simulation said. Three columns say how near it is to saying otherwise: `tolerance_margin`, 1 minus the
+larger error over its tolerance, whose distance from 0 is the distance from the tolerance; and `transport_slip_m` with
+`transport_slip_rad`, how far the object moved and turned in the hand: what slips may fall or hold far from any tolerance, and a success has
+a bound on slip too."""
 
 _WITHOUT = """This release holds no `attempts`. The repeatability report that `make dataset` writes beside it says how often labels flip,
 by the same columns."""
@@ -64,6 +65,12 @@ def confidence_section(candidates: pl.DataFrame, attempts: pl.DataFrame | None) 
             _kept(executed, repeated),
         ]
     )
+
+
+def count_flips(candidates: pl.DataFrame, attempts: pl.DataFrame) -> tuple[int, int]:
+    """Attempts that turn success into failure or back, and all attempts under a changed simulation."""
+    repeated = _compared(attempts, candidates.filter("y_plan"))
+    return int(repeated["flips"].sum()), repeated.height
 
 
 def _compared(attempts: pl.DataFrame, executed: pl.DataFrame) -> pl.DataFrame:

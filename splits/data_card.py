@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 import polars as pl
 import pyarrow as pa
 
 from pipelines.frames import frame_of
+from splits.citation import Citation
 from splits.confidence import confidence_section
+from splits.hub_card import READING, front_matter
 from splits.markdown import count, percent, share, table
+from splits.scheme_section import scheme_section
 from tables.columns import TableSchema
 from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES
 from tables.vocabulary import Category, ExecStatus, PlanStatus, Split
@@ -20,29 +24,7 @@ PAPER_CITATION = """@misc{liu_execution_aware_ranking,
   note   = {Deakin University}
 }"""
 
-_READING = """Three queries with polars, from inside this folder:
-
-```python
-import polars as pl
-
-def table(name):
-    return pl.scan_parquet(f"{name}.parquet").with_columns(pl.col(pl.Categorical).cast(pl.String))
-
-candidates = table("candidates").join(table("splits"), on="scene_id").with_columns(pl.col("y_pipe").fill_null(False).alias("success"))
-
-# How often can a candidate be planned, and how often is it a success?
-print(candidates.group_by("category").agg(pl.len(), pl.col("y_plan", "success").mean()).sort("category").collect())
-
-# Why do planned candidates of the training split fail in execution?
-train = candidates.filter((pl.col("split") == "train") & pl.col("y_plan"))
-print(train.group_by("exec_status").len().sort("len", descending=True).collect())
-
-# Which targets of the test split can be served by no grasp at all?
-test = candidates.filter(pl.col("split") == "test").group_by("scene_id", "target_id").agg(pl.col("success").any())
-print(test.filter(~pl.col("success")).sort("scene_id", "target_id").collect())
-```"""
-
-_LIMITS = """\
+LIMITS = """\
 - **A protocol, not the paper's labels.** The protocol is that of the paper cited below, which used Isaac Sim and cuMotion; here it is
   MuJoCo (held objects), PyBullet (resting ones), OMPL, pinocchio and coal. Rates differ and may not be compared as if they were of the
   same data.
@@ -56,8 +38,8 @@ _LIMITS = """\
 - **Simulation only.** Rigid bodies, Coulomb friction, convex parts instead of exact meshes. No label was confirmed on a robot.
 - **Labels near the tolerance are chaotic.** Contact dynamics amplify differences that mean nothing physically; the section on how sure
   the labels are says by how much.
-- **Known objects.** The splits hold out scenes, not objects: an object may occur in every split. Results say nothing about unseen
-  objects.
+- **Known objects.** Column `split` holds out scenes, not objects: an object may occur in all of its parts, and results on it say nothing
+  about unseen objects. `split_object` and `split_category_<name>` are for that, over 30 objects of three categories and no more.
 - **Supervision only.** Whatever is known only after planning or physics must not be a model input: the columns of `candidates` from
   `y_plan` on, `plans`, and the lifted and in-hand states in `grasps`.
 - **One grasp and one placement.** Regrasping, stacking and moving obstacles are not in the data."""
@@ -97,38 +79,55 @@ leaks between splits and for files that do not belong here. `manifest.json` was 
 lists size and SHA-256 of every other file, and in `manifest_sha256` the SHA-256 of its own other fields."""
 
 
-def render_card(tables: Mapping[str, pa.Table], facts: Mapping[str, str], sizes: Mapping[str, int]) -> str:
+def limits() -> list[str]:
+    """The limits as single paragraphs without Markdown, each beginning with its title, for texts of another form."""
+    items = re.split(r"^- ", LIMITS, flags=re.MULTILINE)[1:]
+    return [" ".join(item.replace("**", "").replace("`", "").split()) for item in items]
+
+
+def render_card(
+    tables: Mapping[str, pa.Table], facts: Mapping[str, str], rows: Mapping[str, int], sizes: Mapping[str, int], citation: Citation
+) -> str:
     """Markdown of the data card.
 
     Args:
-        tables: all tables of the release, by name.
+        tables: tables of the release by name; heavy ones are not looked at.
         facts: what the tables do not say: `tier`, `version`, `schema_version`, `licence`, `release_hash`, `scenes_of_tier`, provenance.
-        sizes: bytes of the file of each table.
+        rows: rows of each table.
+        sizes: bytes of the files of each table.
+        citation: how the data are cited.
     """
     frames = {name: frame_of(tables[name]) for name in ("candidates", "splits", "scenes", "targets", "grasps", "objects")}
     joined = frames["candidates"].join(frames["splits"], on="scene_id").with_columns(pl.col("y_pipe").fill_null(False).alias("success"))
-    licence = f"The data are licensed under {facts['licence']}. The protocol is that of:\n\n```bibtex\n{PAPER_CITATION}\n```"
+    own = citation.bibtex(facts["tier"], facts["version"])
+    licence = (
+        f"The data are licensed under {facts['licence']}. Cite them as\n\n```bibtex\n{own}\n```\n\nand the paper whose protocol is theirs:"
+        f"\n\n```bibtex\n{PAPER_CITATION}\n```\n\n"
+        "`DATASHEET.md` answers the questions of a datasheet; `croissant.json` describes every column for machines."
+    )
     blocks = [
+        front_matter(rows, dict(joined["split"].value_counts().iter_rows()), facts),
         f"# PlaceBench {facts['tier']} {facts['version']}",
         _INTRODUCTION,
         _facts(frames, facts),
         f"## Splits\n\n{_ABOUT_SPLITS}",
         _splits(frames, joined),
+        scheme_section(frames, joined),
         f"## Outcomes\n\n{_ABOUT_OUTCOMES}",
         _outcomes(joined),
         "## Scenes",
         _scenes(frames["scenes"]),
-        f"## How to read it\n\n{_READING}",
+        f"## How to read it\n\n{READING}",
         "## How sure the labels are",
         confidence_section(frames["candidates"], frame_of(tables["attempts"]) if "attempts" in tables else None),
         "## Tables",
-        _overview(tables, sizes),
+        _overview(rows, sizes),
         _ABOUT_TABLES,
         "## Size, and the light release",
-        _light(tables, sizes),
+        _light(rows, sizes),
         _ABOUT_SIZE,
-        *(_schema(ALL_SCHEMAS[name]) for name in sorted(tables)),
-        f"## Limits\n\n{_LIMITS}",
+        *(_schema(ALL_SCHEMAS[name]) for name in sorted(rows)),
+        f"## Limits\n\n{LIMITS}",
         f"## Licence and citation\n\n{licence}",
         f"## Checking it\n\n{_CHECKING}",
     ]
@@ -209,23 +208,23 @@ def _scenes(scenes: pl.DataFrame) -> str:
     return table(["scenes", *(f"{n} obstacles" if n != 1 else "1 obstacle" for n in obstacle_counts)], rows)
 
 
-def _overview(tables: Mapping[str, pa.Table], sizes: Mapping[str, int]) -> str:
-    rows = [
-        [f"`{name}`", ALL_SCHEMAS[name].meaning, ", ".join(ALL_SCHEMAS[name].key), count(tables[name].num_rows), _kilobytes(sizes[name])]
-        for name in sorted(tables)
+def _overview(rows: Mapping[str, int], sizes: Mapping[str, int]) -> str:
+    lines = [
+        [f"`{name}`", ALL_SCHEMAS[name].meaning, ", ".join(ALL_SCHEMAS[name].key), count(rows[name]), _kilobytes(sizes[name])]
+        for name in sorted(rows)
     ]
-    return table(["table", "one row is", "key", "rows", "kB"], rows, align="lllrr")
+    return table(["table", "one row is", "key", "rows", "kB"], lines, align="lllrr")
 
 
-def _light(tables: Mapping[str, pa.Table], sizes: Mapping[str, int]) -> str:
-    heavy = [name for name in sorted(tables) if name in HEAVY_TABLES]
-    rows = [
+def _light(rows: Mapping[str, int], sizes: Mapping[str, int]) -> str:
+    heavy = [name for name in sorted(rows) if name in HEAVY_TABLES]
+    lines = [
         [f"`{name}`", _kilobytes(sizes[name]), f"`python -m splits.rebuild DIR {target}`" if (target := HEAVY_TABLES[name]) else "nothing"]
         for name in heavy
     ]
-    total, n_candidates = sum(sizes[name] for name in tables if name not in HEAVY_TABLES), max(1, tables["candidates"].num_rows)
-    rows.append(["all others", _kilobytes(total), f"always there: {total / n_candidates:.0f} bytes a candidate"])
-    return table(["table", "kB", "made again by"], rows, align="lrl")
+    total, n_candidates = sum(sizes[name] for name in rows if name not in HEAVY_TABLES), max(1, rows["candidates"])
+    lines.append(["all others", _kilobytes(total), f"always there: {total / n_candidates:.0f} bytes a candidate"])
+    return table(["table", "kB", "made again by"], lines, align="lrl")
 
 
 def _kilobytes(n_bytes: int) -> str:

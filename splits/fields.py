@@ -14,8 +14,8 @@ _NUMBER = "(?:0|[1-9][0-9]{0,5})"
 _VERSION = re.compile(rf"{_NUMBER}\.{_NUMBER}\.{_NUMBER}")
 
 
-def check_equal(name: str, value: object, expected: str) -> None:
-    """The field is this text."""
+def check_equal(name: str, value: object, expected: object) -> None:
+    """The field is exactly this."""
     if value != expected:
         raise ReleaseError(f"{name} {shown(value)}, must be {expected!r}")
 

@@ -1,6 +1,7 @@
 """Whether anything of one split can be known from another: shared groups, shared candidates, scenes that are all but the same.
 
-scene_groups.py assigns scenes to splits; this module does not trust it and looks at the tables.
+scene_groups.py and schemes.py assign scenes to splits; this module does not trust them and looks at the tables. What each scheme promises
+is asked of the scheme's own column: objects of one split alone, a category or an obstacle count of test alone.
 """
 
 from __future__ import annotations
@@ -20,12 +21,21 @@ from scipy.optimize import linear_sum_assignment
 from pipelines.frames import frame_of
 from tables.identity import IdentityError, parse_candidate_id
 from tables.poses import matrix_of, pose_columns, rotation_angle_rad
-from tables.vocabulary import Symmetry
+from tables.vocabulary import Split, SplitScheme, Symmetry
 
 # Closer than this two scenes look the same to a depth camera and to a planner, and nearly the same placement:
 # within the tolerances of the recipe (7.5 mm, 5 degrees) with room to spare.
 POSITION_TOLERANCE_M = 0.005
 ROTATION_TOLERANCE_RAD = math.radians(3.0)
+
+
+# What the test split of a scheme has all of and nothing else: the fact of a scene and its value.
+_HELD_OUT = {
+    SplitScheme.CATEGORY_CAN: ("category", "can"),
+    SplitScheme.CATEGORY_MUG: ("category", "mug"),
+    SplitScheme.CATEGORY_CUBOID: ("category", "cuboid"),
+    SplitScheme.LAYOUT: ("obstacles", 2),
+}
 
 
 class LeakKind(StrEnum):
@@ -36,6 +46,8 @@ class LeakKind(StrEnum):
     CANDIDATE_IN_TWO_GROUPS = "candidate_in_two_groups"
     CANDIDATE_OF_ANOTHER_SCENE = "candidate_of_another_scene"
     NEAR_IDENTICAL_SCENES = "near_identical_scenes"
+    OBJECT_IN_TWO_SPLITS = "object_in_two_splits"
+    NOT_HELD_OUT = "not_held_out"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +82,7 @@ def find_leaks(
     """Every leak in a release; empty for a sound one.
 
     Two scenes are near-identical when they hold the same object, and the pose of the object, all obstacles and all targets agree
-    within the tolerances, each modulo symmetry and in any order. Only pairs across two splits are leaks.
+    within the tolerances, each modulo symmetry and in any order. Only pairs across two splits of a scheme are leaks.
 
     Args:
         tables: at least `objects`, `scenes`, `obstacles`, `targets`, `candidates` and `splits`.
@@ -85,13 +97,15 @@ def find_leaks(
         *_candidates_in_two_groups(candidates),
         *_candidates_of_another_scene(candidates),
         *_near_identical_scenes(frames, position_tolerance_m, rotation_tolerance_rad),
+        *_objects_in_two_splits(frames),
+        *_not_held_out(frames),
     ]
 
 
 def _scenes_in_two_splits(splits: pl.DataFrame) -> Iterator[Leak]:
-    several = splits.group_by("scene_id").agg(pl.col("split").unique().sort()).filter(pl.col("split").list.len() > 1).sort("scene_id")
-    for scene_id, names in several.iter_rows():
-        yield Leak(LeakKind.SCENE_IN_TWO_SPLITS, (scene_id,), f"in {len(names)} splits ({', '.join(names)}), must be in 1")
+    for scheme in SplitScheme:
+        for scene_id, names in _in_several(splits, "scene_id", scheme):
+            yield Leak(LeakKind.SCENE_IN_TWO_SPLITS, (scene_id,), f"in {len(names)} splits{_of(scheme)} ({', '.join(names)}), must be in 1")
 
 
 def _scenes_without_split(scenes: pl.DataFrame, candidates: pl.DataFrame, splits: pl.DataFrame) -> Iterator[Leak]:
@@ -120,13 +134,17 @@ def _candidates_of_another_scene(candidates: pl.DataFrame) -> Iterator[Leak]:
 def _near_identical_scenes(
     frames: Mapping[str, pl.DataFrame], position_tolerance_m: float, rotation_tolerance_rad: float
 ) -> Iterator[Leak]:
-    split_of = dict(frames["splits"].select("scene_id", "split").iter_rows())
+    columns = [scheme.column for scheme in SplitScheme]
+    splits_of = {scene_id: splits for scene_id, *splits in frames["splits"].select("scene_id", *columns).iter_rows()}
+    without = [None] * len(columns)
     symmetry_of = {object_id: Symmetry(value) for object_id, value in frames["objects"].select("object_id", "symmetry").iter_rows()}
     for object_id, geometries in _geometries(frames).items():
         positions_m = np.stack([geometry.T_base_object[:3, 3] for geometry in geometries])
         for i, j in combinations(range(len(geometries)), 2):
             a, b = geometries[i], geometries[j]
-            if split_of.get(a.scene_id) == split_of.get(b.scene_id):
+            pairs = list(zip(SplitScheme, splits_of.get(a.scene_id, without), splits_of.get(b.scene_id, without), strict=True))
+            across = [f"{of_a} and {of_b}{_of(scheme)}" for scheme, of_a, of_b in pairs if of_a != of_b]
+            if not across:
                 continue
             # Most pairs end here; the rest of the comparison costs a hundred times more.
             if np.linalg.norm(positions_m[i] - positions_m[j]) > position_tolerance_m:
@@ -136,8 +154,44 @@ def _near_identical_scenes(
                     LeakKind.NEAR_IDENTICAL_SCENES,
                     (a.scene_id, b.scene_id),
                     f"{object_id}, obstacles and targets within {position_tolerance_m * 1e3:g} mm and"
-                    f" {math.degrees(rotation_tolerance_rad):g} deg, in {split_of.get(a.scene_id)} and {split_of.get(b.scene_id)}",
+                    f" {math.degrees(rotation_tolerance_rad):g} deg, in {', '.join(across)}",
                 )
+
+
+def _objects_in_two_splits(frames: Mapping[str, pl.DataFrame]) -> Iterator[Leak]:
+    scenes = frames["scenes"].select("scene_id", "object_id").join(frames["splits"], on="scene_id")
+    for object_id, names in _in_several(scenes, "object_id", SplitScheme.OBJECT):
+        found = f"in {len(names)} splits{_of(SplitScheme.OBJECT)} ({', '.join(names)}), must be in 1"
+        yield Leak(LeakKind.OBJECT_IN_TWO_SPLITS, (object_id,), found)
+
+
+def _not_held_out(frames: Mapping[str, pl.DataFrame]) -> Iterator[Leak]:
+    """Scenes on the wrong side of a scheme; category and obstacle count are those of the object and of the obstacles that there are."""
+    facts = (
+        frames["scenes"]
+        .select("scene_id", "object_id")
+        .join(frames["objects"].select("object_id", "category"), on="object_id", how="left")
+        .join(frames["obstacles"].group_by("scene_id").len("obstacles"), on="scene_id", how="left")
+        .with_columns(pl.col("obstacles").fill_null(0))
+        .join(frames["splits"], on="scene_id")
+        .sort("scene_id")
+    )
+    for scheme, (fact, value) in _HELD_OUT.items():
+        is_test = pl.col(scheme.column) == Split.TEST.value
+        wrong = facts.filter(pl.col(fact).eq_missing(pl.lit(value)) != is_test)
+        for scene_id, found, split in wrong.select("scene_id", fact, scheme.column).iter_rows():
+            bound = f"test must have all scenes with {fact} {value} and no other"
+            yield Leak(LeakKind.NOT_HELD_OUT, (scene_id,), f"{fact} {found} in {split}{_of(scheme)}, whose {bound}")
+
+
+def _in_several(frame: pl.DataFrame, key: str, scheme: SplitScheme) -> Iterator[tuple[str, list[str]]]:
+    """Values of a key whose rows are in more than one split of a scheme, and these splits."""
+    found = frame.group_by(key).agg(pl.col(scheme.column).drop_nulls().unique().sort().alias("names"))
+    yield from found.filter(pl.col("names").list.len() > 1).sort(key).iter_rows()
+
+
+def _of(scheme: SplitScheme) -> str:
+    return "" if scheme is SplitScheme.SCENE else f" of scheme {scheme.value}"
 
 
 def _geometries(frames: Mapping[str, pl.DataFrame]) -> dict[str, list[_Geometry]]:

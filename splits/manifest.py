@@ -20,9 +20,13 @@ from splits.fields import check_count, check_equal, check_sha256, check_texts, c
 from tables.identity import IdentityError, shards_of_tier
 from tables.schemas import SCHEMA_VERSION
 from tables.tolerances import Tolerances, TolerancesError
+from tables.vocabulary import Split
 
 MANIFEST = "manifest.json"
 CARD = "README.md"
+CROISSANT = "croissant.json"
+DATASHEET = "DATASHEET.md"
+TEXTS = (CARD, CROISSANT, DATASHEET)  # rendered from the tables
 NAME = "placebench"
 LICENCE = "CC-BY-4.0"
 
@@ -33,6 +37,9 @@ DATA_VERSION = "0.4.0"
 MEASUREMENTS = ("timings",)
 # Made from a release, so after it: what repeats said about its labels. No part of the release hash either.
 ABOUT_THE_RELEASE = ("attempts",)
+
+# Tables that lie in one file a split, in folders `split=train` and so on: whoever reads the folder gets the split as a column.
+BY_SPLIT = ("candidates",)
 
 _MAX_DIGITS = 18  # of a whole number, so that it fits into 64 bits
 _OWN_HASH = "manifest_sha256"
@@ -55,7 +62,7 @@ class FileEntry:
 class TableEntry:
     """One table of a release; `content_hash` identifies its values, whatever bytes hold them."""
 
-    file: str
+    files: list[str]
     rows: int
     content_hash: str
 
@@ -68,7 +75,7 @@ class TableEntry:
 class Manifest:
     """What a release is; `release_hash` identifies the values of its tables and nothing else.
 
-    `files` lists every file of the folder but the manifest: the data card, the tables and their sidecars.
+    `files` lists every file of the folder but the manifest: the texts and the files of the tables, by their paths in it.
     """
 
     name: str
@@ -94,11 +101,11 @@ class Manifest:
         for name, entry in self.tables.items():
             if not _TABLE_NAME.fullmatch(name):
                 raise ReleaseError(f"tables: name {shown(name)}, must match {_TABLE_NAME.pattern}")
-            check_equal(f"tables.{name}: file", entry.file, f"{name}.parquet")
-        listed = {CARD, *(file for name in self.tables for file in files_of_table(name))}
+            check_equal(f"tables.{name}: files", entry.files, list(files_of_table(name)))
+        listed = {*TEXTS, *(file for name in self.tables for file in files_of_table(name))}
         if listed != self.files.keys():
             missing, unknown = sorted(listed - self.files.keys()), sorted(self.files.keys() - listed)
-            raise ReleaseError(f"files: missing {shown(missing)}, unknown {shown(unknown)}, must be {CARD}, the tables and their sidecars")
+            raise ReleaseError(f"files: missing {shown(missing)}, unknown {shown(unknown)}, must be {', '.join(TEXTS)} and the tables")
         check_equal("release_hash", self.release_hash, release_hash_of(self.tables))
 
     def to_text(self) -> str:
@@ -142,9 +149,14 @@ def release_hash_of(entries: Mapping[str, TableEntry]) -> str:
     return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
-def files_of_table(name: str) -> tuple[str, str]:
-    """File names of a table and of its sidecar."""
-    return f"{name}.parquet", f"{name}.parquet.json"
+def files_of_table(name: str) -> tuple[str, ...]:
+    """Paths of a table's files in the release folder: one, or of a table of `BY_SPLIT` one a split, in the order of `Split`.
+
+    No sidecar lies beside them: the manifest says all that one would, and nothing that looks for data can take it for data.
+    """
+    if name in BY_SPLIT:
+        return tuple(f"{name}/split={split.value}/part-0.parquet" for split in Split)
+    return (f"{name}.parquet",)
 
 
 def check_tier(tier: object) -> None:

@@ -28,7 +28,7 @@ from pipelines.running.shard_runner import ShardInputs, run_stage
 from pipelines.stage import Stage
 from pipelines.stages import STAGE
 from splits.errors import ReleaseError
-from splits.manifest import Manifest, files_of_table, read_manifest
+from splits.manifest import Manifest, files_of_table
 from splits.release_laws import allocations_in, stage_tables
 from splits.release_reader import Release
 from tables.errors import PlaceBenchError
@@ -36,7 +36,7 @@ from tables.files import file_sha256, write_bytes_atomically
 from tables.identity import family_of_tier, scenes_of_shard, shard_of_scene
 from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES, OBJECT_TABLES
 from tables.sidecar import Sidecar, find_published
-from tables.store import content_hash, read_tables, write_table
+from tables.store import content_hash, read_tables, write_parquet, write_table
 from tables.versions import library_versions
 
 _STAGE_OF = {"plans": STAGE["planning_labels"], "scene_points": STAGE["scene_points"], "scene_attempts": STAGE["scenes"]}
@@ -58,7 +58,6 @@ def rebuild(directory: Path, name: str, n_workers: int = 1, recipe_path: Path = 
             did not come out as it was: nothing is changed then.
         StageError: scenes that could not be made again; the others are kept for the next run.
     """
-    _forget_half(directory, read_manifest(directory), name)
     release = Release.open(directory, verify=True)
     if name not in release.left_out:
         release.table(name)  # says so where the release never had one
@@ -75,14 +74,6 @@ def rebuild(directory: Path, name: str, n_workers: int = 1, recipe_path: Path = 
     finally:
         shutil.rmtree(root.path)  # also what came out otherwise: it would only be found wrong again
     log(f"{name}: {made[name].num_rows:,} rows, content hash {release.manifest.tables[name].content_hash[:12]} as in the manifest")
-
-
-def _forget_half(directory: Path, manifest: Manifest, name: str) -> None:
-    """Remove the one file of the table that a killed rebuild may have left without the other."""
-    paths = [directory / file for file in files_of_table(name)]
-    if name in manifest.tables and sum(path.is_file() for path in paths) == 1:
-        for path in paths:
-            path.unlink(missing_ok=True)
 
 
 def _check_origin(manifest: Manifest, stage: Stage, recipe: Recipe) -> None:
@@ -178,19 +169,17 @@ def _first_difference(made: pa.Table, expected: pa.Table) -> str:
 
 
 def _publish(release: Release, name: str, table: pa.Table, root: DataRoot) -> None:
-    """Write the two files aside and move them in if they are, byte for byte, those that the manifest lists."""
-    manifest, schema = release.manifest, ALL_SCHEMAS[name]
-    write_table(schema, table, root.path / files_of_table(name)[0], manifest.provenance, of=manifest.tier)
-    for file in files_of_table(name):
-        found, expected = file_sha256(root.path / file), manifest.files[file].sha256
-        if found != expected:
-            pyarrow = manifest.libraries.get("pyarrow", "unknown")
-            raise ReleaseError(
-                f"{file}: same values, but SHA-256 {found[:12]}, manifest says {expected[:12]}: written by pyarrow {pa.__version__},"
-                f" the release by {pyarrow}; nothing was put into the release"
-            )
-    for file in files_of_table(name):
-        write_bytes_atomically(release.directory / file, (root.path / file).read_bytes())
+    """Write the file aside and move it in if it is, byte for byte, the one that the manifest lists."""
+    manifest, (file,) = release.manifest, files_of_table(name)
+    write_parquet(ALL_SCHEMAS[name], table, root.path / file)
+    found, expected = file_sha256(root.path / file), manifest.files[file].sha256
+    if found != expected:
+        pyarrow = manifest.libraries.get("pyarrow", "unknown")
+        raise ReleaseError(
+            f"{file}: same values, but SHA-256 {found[:12]}, manifest says {expected[:12]}: written by pyarrow {pa.__version__},"
+            f" the release by {pyarrow}; nothing was put into the release"
+        )
+    write_bytes_atomically(release.directory / file, (root.path / file).read_bytes())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

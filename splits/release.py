@@ -9,19 +9,18 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
 
 import pyarrow as pa
 
-from splits.data_card import render_card
 from splits.errors import ReleaseError
 from splits.leakage import find_leaks
 from splits.manifest import (
-    CARD,
     LICENCE,
     MANIFEST,
     NAME,
+    TEXTS,
     FileEntry,
     Manifest,
     TableEntry,
@@ -33,13 +32,24 @@ from splits.manifest import (
 )
 from splits.pose_errors import find_pose_errors
 from splits.provenance import LIBRARIES, check_provenance
-from splits.release_folder import check_files, check_nothing_else, clear_folder, left_out, read_released_table
+from splits.release_folder import (
+    check_files,
+    check_nothing_else,
+    check_parts,
+    clear_folder,
+    left_out,
+    parts_of_table,
+    read_released_table,
+)
 from splits.release_laws import broken_laws
+from splits.release_texts import check_texts, render_texts
 from tables.identity import scenes_of_shard, shards_of_tier
 from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES, SCHEMA_VERSION
-from tables.store import file_sha256, write_bytes_atomically, write_table, write_text_atomically
+from tables.store import check_table, content_hash, file_sha256, write_bytes_atomically, write_parquet, write_text_atomically
 from tables.tolerances import Tolerances
 from tables.versions import library_versions
+
+_UNWRITTEN = FileEntry(0, "0" * 64)  # stands for a text until it is written: texts are made from all the rest of the manifest
 
 REQUIRED_TABLES = (
     "objects",
@@ -63,7 +73,7 @@ def write_release(
     provenance: Mapping[str, str],
     tolerances: Tolerances,
 ) -> Manifest:
-    """Check the tables, write them with the data card, and write the manifest last.
+    """Check the tables, write them with the texts that they make, and write the manifest last.
 
     An older release in the folder stops being one before the first file changes.
 
@@ -87,40 +97,30 @@ def write_release(
         raise ReleaseError(f"{directory}: not a folder")
     directory.mkdir(parents=True, exist_ok=True)
     clear_folder(directory, tables.keys())
-    entries = {name: _write(name, tables[name], directory, tier, provenance) for name in sorted(tables)}
-    release_hash = release_hash_of(entries)
-    facts = {
-        **provenance,
-        "tier": tier,
-        "version": version,
-        "licence": LICENCE,
-        "schema_version": SCHEMA_VERSION,
-        "release_hash": release_hash,
-        **{f"tolerances.{name}": f"{value:.4g}" for name, value in asdict(tolerances).items()},
-        "scenes_of_tier": str(sum(len(scenes_of_shard(shard)) for shard in shards_of_tier(tier))),
-    }
-    sizes = {name: (directory / entry.file).stat().st_size for name, entry in entries.items()}
-    write_text_atomically(directory / CARD, render_card(tables, facts, sizes))
-    files = [CARD, *(file for name in entries for file in files_of_table(name))]
-    manifest = Manifest(
+    entries = {name: _write(name, tables, directory) for name in sorted(tables)}
+    files = [file for name in entries for file in files_of_table(name)]
+    draft = Manifest(
         name=NAME,
         tier=tier,
         version=version,
         licence=LICENCE,
         schema_version=SCHEMA_VERSION,
-        release_hash=release_hash,
+        release_hash=release_hash_of(entries),
         tolerances=tolerances,
         tables=entries,
-        files={file: FileEntry((directory / file).stat().st_size, file_sha256(directory / file)) for file in files},
+        files={**_listed(directory, files), **dict.fromkeys(TEXTS, _UNWRITTEN)},
         provenance=dict(provenance),
         libraries=library_versions(LIBRARIES),
     )
+    for name, text in render_texts(tables, draft).items():
+        write_text_atomically(directory / name, text)
+    manifest = replace(draft, files={**draft.files, **_listed(directory, TEXTS)})
     write_text_atomically(directory / MANIFEST, manifest.to_text())
     return manifest
 
 
 def verify_release(directory: Path, *, may_be_light: bool = False) -> Manifest:
-    """Check every file of a release against its manifest, every value against its schema, and the labels and splits against sense.
+    """Check every file of a release against its manifest, every value against its schema, labels and splits against sense, texts last.
 
     Args:
         may_be_light: heavy tables may be missing (see `release_folder.left_out`); laws about them are not asked then.
@@ -135,13 +135,16 @@ def verify_release(directory: Path, *, may_be_light: bool = False) -> Manifest:
     check_nothing_else(directory, manifest)
     absent = left_out(directory, manifest)
     if absent and not may_be_light:
-        file, _ = files_of_table(absent[0])
-        raise ReleaseError(f"{file}: missing; a light release, which leaves out {', '.join(absent)}, is verified with --light")
+        raise ReleaseError(
+            f"{files_of_table(absent[0])[0]}: missing; a light release, which leaves out {', '.join(absent)}, is verified with --light"
+        )
     check_files(directory, manifest, hashes=True, without=absent)
     there = sorted(manifest.tables.keys() - set(absent))
     tables = {name: read_released_table(directory, manifest, name, verify=True) for name in there}
     _check_contents(tables, manifest.tier, manifest.provenance, without=absent)
     _check_values(tables, manifest.tolerances)
+    check_parts(directory, tables)
+    check_texts(directory, tables, manifest)
     return manifest
 
 
@@ -174,7 +177,7 @@ def make_light(whole: Path, light: Path) -> Manifest:
     light.mkdir(parents=True, exist_ok=True)
     kept = manifest.tables.keys() - HEAVY_TABLES.keys()
     clear_folder(light, kept)
-    for file in [CARD, *(file for name in sorted(kept) for file in files_of_table(name))]:
+    for file in [*TEXTS, *(file for name in sorted(kept) for file in files_of_table(name))]:
         write_bytes_atomically(light / file, (whole / file).read_bytes())
     write_text_atomically(light / MANIFEST, manifest.to_text())
     return manifest
@@ -219,10 +222,16 @@ def _check_values(tables: Mapping[str, pa.Table], tolerances: Tolerances) -> Non
         raise ReleaseError(f"leakage: {len(leaks)} leaks, must be 0; first {leaks[0]}")
 
 
-def _write(name: str, table: pa.Table, directory: Path, tier: str, provenance: Mapping[str, str]) -> TableEntry:
-    file, _ = files_of_table(name)
-    sidecar = write_table(ALL_SCHEMAS[name], table, directory / file, provenance, of=tier)
-    return TableEntry(file, sidecar.rows, sidecar.content_hash)
+def _write(name: str, tables: Mapping[str, pa.Table], directory: Path) -> TableEntry:
+    check_table(ALL_SCHEMAS[name], tables[name])
+    files = files_of_table(name)
+    for file, part in zip(files, parts_of_table(name, tables), strict=True):
+        write_parquet(ALL_SCHEMAS[name], part, directory / file)
+    return TableEntry(list(files), tables[name].num_rows, content_hash(tables[name]))
+
+
+def _listed(directory: Path, files: Sequence[str]) -> dict[str, FileEntry]:
+    return {file: FileEntry((directory / file).stat().st_size, file_sha256(directory / file)) for file in files}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -245,7 +254,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     absent = left_out(chosen.directory, manifest)
     rows = sum(entry.rows for name, entry in manifest.tables.items() if name not in absent)
-    megabytes = sum(path.stat().st_size for path in chosen.directory.iterdir()) / 1e6
+    megabytes = sum(path.stat().st_size for path in chosen.directory.rglob("*") if path.is_file()) / 1e6
     about = f"{manifest.name} {manifest.tier} {manifest.version}"
     print(f"sound: {about}, {len(manifest.tables) - len(absent)} tables, {rows:,} rows, {megabytes:.1f} MB, {manifest.release_hash}")
     if absent:

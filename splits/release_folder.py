@@ -5,29 +5,29 @@ manifest.py checks what the manifest says, release.py what the tables say.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Collection
-from dataclasses import asdict
-from pathlib import Path
-from typing import Any
+from collections.abc import Collection, Mapping
+from pathlib import Path, PurePosixPath
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from splits.errors import ReleaseError, shown
-from splits.manifest import CARD, MANIFEST, Manifest, files_of_table
+from splits.manifest import BY_SPLIT, MANIFEST, TEXTS, Manifest, files_of_table
 from tables.columns import SchemaError, TableSchema
 from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES
-from tables.store import Sidecar, StoreError, check_table, content_hash, file_sha256, read_table
+from tables.store import StoreError, check_table, content_hash, file_sha256, join_tables, read_parquet, table_from_columns
+from tables.vocabulary import Split
 
 
 def check_nothing_else(directory: Path, manifest: Manifest) -> None:
     """Raise ReleaseError where the folder holds a file or folder that the manifest does not list."""
     try:
-        names = sorted(path.name for path in directory.iterdir())
+        names = _paths_in(directory)
     except OSError as error:
         raise ReleaseError(f"{directory}: cannot be read: {error.strerror}") from error
-    strangers = [name for name in names if name not in {MANIFEST, *manifest.files}]
+    listed = {MANIFEST, *manifest.files}
+    strangers = [name for name in names if name not in listed | _folders_of(listed)]
     if strangers:
         raise ReleaseError(
             f"{strangers[0]}: not in the manifest, which lists {len(manifest.files)} files ({len(strangers)} are not, must be 0)"
@@ -35,7 +35,7 @@ def check_nothing_else(directory: Path, manifest: Manifest) -> None:
 
 
 def left_out(directory: Path, manifest: Manifest) -> tuple[str, ...]:
-    """Heavy tables of which the folder holds neither file: what makes a release a light one, empty for a whole one."""
+    """Heavy tables that the folder does not hold: what makes a release a light one, empty for a whole one."""
     heavy = (name for name in sorted(manifest.tables) if name in HEAVY_TABLES)
     return tuple(name for name in heavy if not any((directory / file).exists() for file in files_of_table(name)))
 
@@ -78,38 +78,55 @@ def check_files(directory: Path, manifest: Manifest, *, hashes: bool, without: C
 
 
 def read_released_table(directory: Path, manifest: Manifest, name: str, *, verify: bool) -> pa.Table:
-    """One table, whose sidecar, schema and number of rows are what the manifest says.
+    """One table, whose schema and number of rows are what the manifest says.
 
     Args:
         verify: also check every value against the schema, and the hash of all values.
 
     Raises:
-        ReleaseError: the release or this code knows no such table, or its file or sidecar is not what the manifest or the schema says.
+        ReleaseError: the release or this code knows no such table, or a file of it is not what the manifest or the schema says.
     """
     if name not in manifest.tables:
         raise ReleaseError(f"table {shown(name)} is not in this release, must be one of {sorted(manifest.tables)}")
     if name not in ALL_SCHEMAS:
         raise ReleaseError(f"{MANIFEST}: table {name!r} is unknown to this code")
-    schema, entry = ALL_SCHEMAS[name], manifest.tables[name]
-    file, sidecar_file = files_of_table(name)
-    sidecar = Sidecar(
-        name, entry.rows, manifest.files[file].sha256, entry.content_hash, manifest.schema_version, manifest.tier, manifest.provenance
-    )
-    _check_sidecar(directory / sidecar_file, asdict(sidecar))
+    schema, entry, files = ALL_SCHEMAS[name], manifest.tables[name], files_of_table(name)
+    parts = [_read_file(directory, file, schema, verify=verify) for file in files]
+    place = files[0] if len(files) == 1 else name
     try:
-        _check_columns(pq.read_schema(directory / file), schema)
-        table = read_table(schema, directory / file)
-        if table.num_rows != entry.rows:
-            raise ReleaseError(f"{file}: {table.num_rows} rows, manifest says {entry.rows}")
-        if verify:
-            table.validate(full=True)
-            check_table(schema, table)
-            found = content_hash(table)
-            if found != entry.content_hash:
-                raise ReleaseError(f"{file}: content hash {found[:12]}, manifest says {entry.content_hash[:12]}")
-    except (StoreError, pa.ArrowException, OSError, ValueError) as error:  # SchemaError, and names that are not UTF-8, are ValueErrors
-        raise ReleaseError(f"{file}: {error}") from error
+        table = parts[0] if len(parts) == 1 else join_tables(schema, parts)
+    except (pa.ArrowException, ValueError) as error:
+        raise ReleaseError(f"{place}: {error}") from error
+    if table.num_rows != entry.rows:
+        raise ReleaseError(f"{place}: {table.num_rows} rows, manifest says {entry.rows}")
+    found = content_hash(table) if verify else entry.content_hash
+    if found != entry.content_hash:
+        raise ReleaseError(f"{place}: content hash {found[:12]}, manifest says {entry.content_hash[:12]}")
     return table
+
+
+def parts_of_table(name: str, tables: Mapping[str, pa.Table]) -> tuple[pa.Table, ...]:
+    """A table as it lies in each of its files.
+
+    Args:
+        tables: the table and `splits`, in which each of its scenes has one split.
+    """
+    if name not in BY_SPLIT:
+        return (tables[name],)
+    table, split_of = tables[name], _split_of_scene(tables)
+    own = pa.array([split_of[scene_id] for scene_id in table["scene_id"].to_pylist()], pa.string())
+    parts = (table.filter(pc.equal(own, split.value)) for split in Split)
+    return tuple(table_from_columns(ALL_SCHEMAS[name], {column: part[column] for column in part.column_names}) for part in parts)
+
+
+def check_parts(directory: Path, tables: Mapping[str, pa.Table]) -> None:
+    """Raise ReleaseError where a file of a split holds a scene of another one."""
+    split_of = _split_of_scene(tables)
+    for file, split in ((file, split) for name in BY_SPLIT for file, split in zip(files_of_table(name), Split, strict=True)):
+        scene_ids = pq.read_table(directory / file, columns=["scene_id"], partitioning=None)["scene_id"].unique().to_pylist()
+        strange = sorted(scene_id for scene_id in scene_ids if split_of[scene_id] != split.value)
+        if strange:
+            raise ReleaseError(f"{file}: scene {strange[0]} is in split {split_of[strange[0]]}, must be in {split.value}")
 
 
 def clear_folder(directory: Path, tables: Collection[str]) -> None:
@@ -120,13 +137,15 @@ def clear_folder(directory: Path, tables: Collection[str]) -> None:
     Raises:
         ReleaseError: a file or folder that no release writes; nothing was removed then.
     """
-    wanted = {MANIFEST, CARD, *(file for name in tables for file in files_of_table(name))}
+    wanted = {MANIFEST, *TEXTS, *(file for name in tables for file in files_of_table(name))}
+    folders = _folders_of(wanted)
     stale = []
-    for path in sorted(directory.iterdir()):
-        is_ours = path.name in wanted or path.name.endswith((".parquet", ".parquet.json")) or _is_unfinished(path.name)
-        if not is_ours or not path.is_file():
+    for name in _paths_in(directory):
+        path = directory / name
+        is_ours = name in wanted or path.name.endswith((".parquet", ".parquet.json")) or _is_unfinished(path.name)
+        if (not path.is_dir() or name not in folders) and not (is_ours and path.is_file()):
             raise ReleaseError(f"{path}: not a file of a release; a release has its folder for itself")
-        if path.name not in wanted:
+        if path.is_file() and name not in wanted:
             stale.append(path)
     (directory / MANIFEST).unlink(missing_ok=True)
     for path in stale:
@@ -134,26 +153,34 @@ def clear_folder(directory: Path, tables: Collection[str]) -> None:
 
 
 def _is_unfinished(name: str) -> bool:
-    """Whether this is the temporary file of a write that was killed (see `tables.store.write_table`)."""
-    return name.startswith(".") and any(part in name for part in (".parquet.", f".{CARD}.", f".{MANIFEST}."))
+    """Whether this is the temporary file of a write that was killed (see `tables.files`)."""
+    return name.startswith(".") and any(part in name for part in (".parquet.", *(f".{text}." for text in (*TEXTS, MANIFEST))))
 
 
-def _check_sidecar(path: Path, expected: dict[str, Any]) -> None:
+def _paths_in(directory: Path) -> list[str]:
+    """Every file and folder below a folder, by its path in it; folders before what they hold."""
+    return sorted(path.relative_to(directory).as_posix() for path in directory.rglob("*"))
+
+
+def _folders_of(files: Collection[str]) -> set[str]:
+    return {parent.as_posix() for file in files for parent in PurePosixPath(file).parents} - {"."}
+
+
+def _split_of_scene(tables: Mapping[str, pa.Table]) -> dict[str, str]:
+    return {row["scene_id"]: row["split"] for row in tables["splits"].to_pylist()}
+
+
+def _read_file(directory: Path, file: str, schema: TableSchema, *, verify: bool) -> pa.Table:
+    """The rows in one file of a table; raises ReleaseError where it cannot be read, has other columns, or holds what they do not allow."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ReleaseError(f"{path.name}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise ReleaseError(f"{path.name}: cannot be read as a sidecar: {error}") from error
-    if not isinstance(found, dict):
-        raise ReleaseError(f"{path.name}: {shown(found)}, must be an object with {sorted(expected)}")
-    if found.keys() != expected.keys():
-        missing, unknown = sorted(expected.keys() - found.keys()), sorted(found.keys() - expected.keys())
-        raise ReleaseError(f"{path.name}: missing {missing}, unknown {shown(unknown)}, must both be empty")
-    for name, value in expected.items():
-        # True equals 1 and 1.0, but only one of them is a number of rows.
-        if type(found[name]) is not type(value) or found[name] != value:
-            raise ReleaseError(f"{path.name}: {name} {shown(found[name])}, manifest says {shown(value)}")
+        _check_columns(pq.read_schema(directory / file), schema)
+        table = read_parquet(schema, directory / file)
+        if verify:
+            table.validate(full=True)
+            check_table(schema, table)
+    except (StoreError, pa.ArrowException, OSError, ValueError) as error:  # SchemaError, and names that are not UTF-8, are ValueErrors
+        raise ReleaseError(f"{file}: {error}") from error
+    return table
 
 
 def _check_columns(found: pa.Schema, schema: TableSchema) -> None:

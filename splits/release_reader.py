@@ -73,7 +73,7 @@ class Release:
 
     @cached_property
     def candidates(self) -> pl.DataFrame:
-        """Table `candidates` in its order, with strings for dictionaries and the `split` of each candidate.
+        """Table `candidates` in its order, with strings for dictionaries and the columns of `splits`: `split`, `split_object` and on.
 
         Raises:
             ReleaseError: a candidate whose scene is in no split or in several.

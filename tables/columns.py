@@ -32,12 +32,16 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class TableSchema:
-    """Columns of a table and the key that sorts it and is unique in it."""
+    """Columns of a table and the key that sorts it and is unique in it.
+
+    `since` is the schema version that last changed this table: files of that version and of all later ones hold it as it is now.
+    """
 
     name: str
     meaning: str
     key: tuple[str, ...]
     columns: tuple[Column, ...]
+    since: str = "2.0.0"
 
     def __post_init__(self) -> None:
         names = [column.name for column in self.columns]

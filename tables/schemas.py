@@ -3,9 +3,22 @@
 from __future__ import annotations
 
 from tables.columns import TableSchema, enum, flag, integer, integers, joints, plain, pose, real, reals, single, text
-from tables.vocabulary import AdmissionStatus, Audit, Category, ExecStatus, LiftStatus, Perturbation, PlanStatus, PointType, Split, Symmetry
+from tables.vocabulary import (
+    AdmissionStatus,
+    Audit,
+    Category,
+    ExecStatus,
+    LiftStatus,
+    Perturbation,
+    PlanStatus,
+    PointType,
+    Split,
+    SplitScheme,
+    Symmetry,
+)
 
-SCHEMA_VERSION = "2.0.0"
+# A change of any table makes a new version, which that table then names as its `since`.
+SCHEMA_VERSION = "2.1.0"
 
 _SCENE_ID = text("scene_id", "scene, also the scene group")
 _OBJECT_ID = text("object_id", "catalogue object")
@@ -146,7 +159,18 @@ EXECUTION_LABELS = TableSchema("execution_labels", "execution outcome of every p
 
 CANDIDATES = TableSchema("candidates", "the benchmark: every candidate with both labels", ("scene_id", "target_id", "grasp_id"), (*CANDIDATE_PAIRS.columns, *_PLANNING, *_EXECUTION))
 
-SPLITS = TableSchema("splits", "who may see which scene group", ("scene_id",), (_SCENE_ID, enum("split", Split, "train, validation or test")))
+_SPLIT_MEANINGS = {
+    SplitScheme.SCENE: "train, validation or test",
+    SplitScheme.OBJECT: "train, validation or test by object: test has 6 objects that no other split has, one of each size class; validation 6 others",
+    SplitScheme.CATEGORY_CAN: "train, validation or test by category: test has all scenes with a can, validation and train have none",
+    SplitScheme.CATEGORY_MUG: "train, validation or test by category: test has all scenes with a mug, validation and train have none",
+    SplitScheme.CATEGORY_CUBOID: "train, validation or test by category: test has all scenes with a cuboid, validation and train have none",
+    SplitScheme.LAYOUT: "train, validation or test by layout: test has all scenes with 2 obstacles, validation and train have 0 or 1",
+}
+
+SPLITS = TableSchema("splits", "who may see which scene group, a column a split scheme", ("scene_id",), (
+    _SCENE_ID, *(enum(scheme.column, Split, meaning) for scheme, meaning in _SPLIT_MEANINGS.items()),
+), since="2.1.0")
 
 ATTEMPTS = TableSchema("attempts", "repeat executions of candidates, under a perturbation or in a fresh process", ("candidate_id", "perturbation", "repeat"), (
     _CANDIDATE_ID, enum("perturbation", Perturbation, "what was changed"), integer("repeat", "number of the repeat"),

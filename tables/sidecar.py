@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -17,6 +18,9 @@ from tables.columns import TableSchema
 from tables.errors import PlaceBenchError
 from tables.files import file_sha256, write_text_atomically
 from tables.schemas import SCHEMA_VERSION
+
+_NUMBER = "(?:0|[1-9][0-9]{0,5})"
+_VERSION = re.compile(rf"{_NUMBER}\.{_NUMBER}\.{_NUMBER}")
 
 
 class StoreError(PlaceBenchError, RuntimeError):
@@ -80,7 +84,7 @@ def find_published(schema: TableSchema, path: Path, made_from: Mapping[str, str]
     try:
         sidecar = _load(path)
         check_belongs(sidecar, schema, of)
-        reason = _difference(sidecar, made_from)
+        reason = _difference(sidecar, schema, made_from)
         if reason is not None:
             return Missing(schema.name, of, reason, is_damaged=False)
         check_sha256(sidecar, path)
@@ -117,6 +121,12 @@ def check_belongs(sidecar: Sidecar, schema: TableSchema, of: str | None) -> None
         raise StoreError(f"is of {sidecar.of!r}, expected {of!r}")
 
 
+def has_schema_of_today(sidecar: Sidecar, schema: TableSchema) -> bool:
+    """Whether a table was written under a schema version in which it was what it is now: from `schema.since` to today's."""
+    found = _VERSION.fullmatch(sidecar.schema_version)
+    return found is not None and _numbers(schema.since) <= _numbers(sidecar.schema_version) <= _numbers(SCHEMA_VERSION)
+
+
 def check_sha256(sidecar: Sidecar, path: Path) -> None:
     """Raise StoreError, without the path, where a table file is not the one that its sidecar names."""
     try:
@@ -146,9 +156,13 @@ def _load(path: Path) -> Sidecar:
         raise StoreError(f"sidecar: {error}") from error
 
 
-def _difference(sidecar: Sidecar, made_from: Mapping[str, str]) -> str | None:
+def _difference(sidecar: Sidecar, schema: TableSchema, made_from: Mapping[str, str]) -> str | None:
     """What a table was made from that would be different today."""
-    if sidecar.schema_version != SCHEMA_VERSION:
-        return f"schema version {sidecar.schema_version!r}, this code writes {SCHEMA_VERSION!r}"
+    if not has_schema_of_today(sidecar, schema):
+        return f"schema version {sidecar.schema_version!r}, must be from {schema.since!r} to {SCHEMA_VERSION!r}"
     names = sorted(name for name in sidecar.made_from.keys() | made_from.keys() if sidecar.made_from.get(name) != made_from.get(name))
     return f"made from other inputs: {', '.join(names)}" if names else None
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(map(int, version.split(".")))

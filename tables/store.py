@@ -37,6 +37,7 @@ __all__ = [
     "file_sha256",
     "find_published",
     "join_tables",
+    "read_parquet",
     "read_sidecar",
     "read_table",
     "read_tables",
@@ -44,6 +45,7 @@ __all__ = [
     "table_from_columns",
     "table_from_rows",
     "write_bytes_atomically",
+    "write_parquet",
     "write_table",
     "write_text_atomically",
 ]
@@ -128,11 +130,16 @@ def write_table(schema: TableSchema, table: pa.Table, path: Path, made_from: Map
     """
     check_table(schema, table)
     remove(sidecar_path(path))
-    with published_file(path) as handle:
-        _write_parquet(table, handle)
+    _publish(table, path)
     sidecar = Sidecar(schema.name, table.num_rows, file_sha256(path), content_hash(table), SCHEMA_VERSION, of, dict(made_from or {}))
     write_sidecar(path, sidecar)
     return sidecar
+
+
+def write_parquet(schema: TableSchema, table: pa.Table, path: Path) -> None:
+    """Check a table and publish it without a sidecar, in a folder whose manifest says what one would; raises SchemaError."""
+    check_table(schema, table)
+    _publish(table, path)
 
 
 def read_table(schema: TableSchema, path: Path, *, of: str | None = None, verify: bool = False) -> pa.Table:
@@ -151,9 +158,28 @@ def read_table(schema: TableSchema, path: Path, *, of: str | None = None, verify
         check_belongs(sidecar, schema, of)
         if verify:
             check_sha256(sidecar, path)
-        return _read_parquet(schema, path, sidecar, verify)
+        table = read_parquet(schema, path)
+        if table.num_rows != sidecar.rows:
+            raise StoreError(f"has {table.num_rows} rows, sidecar says {sidecar.rows}")
+        if verify:
+            check_table(schema, table)
+        return table
     except (StoreError, SchemaError) as error:
         raise StoreError(f"{path}: {error}") from error
+    except pa.ArrowException as error:
+        raise StoreError(f"{path}: {_unreadable(error)}") from error
+
+
+def read_parquet(schema: TableSchema, path: Path) -> pa.Table:
+    """The table in a Parquet file of exactly this schema, its values unchecked; raises StoreError without the path."""
+    try:
+        # The reader fills a column that is not there with nulls and leaves out one that is unknown, so the file's own schema comes first.
+        found = pq.read_schema(path)
+        if not found.equals(schema.arrow):
+            raise StoreError(f"holds {_schema_difference(found, schema.arrow)}")
+        return pq.read_table(path, schema=schema.arrow, partitioning=None)
+    except (pa.ArrowException, OSError) as error:
+        raise StoreError(_unreadable(error)) from error
 
 
 def read_tables(schema: TableSchema, paths: Sequence[Path], *, of: Sequence[str] | None = None) -> pa.Table:
@@ -166,6 +192,11 @@ def join_tables(schema: TableSchema, tables: Sequence[pa.Table]) -> pa.Table:
     """Concatenate tables of one schema in key order; raises SchemaError where a key repeats."""
     joined = pa.concat_tables([t.cast(_undictionaried(schema)) for t in tables])
     return table_from_columns(schema, {name: joined[name] for name in schema.names})
+
+
+def _publish(table: pa.Table, path: Path) -> None:
+    with published_file(path) as handle:
+        _write_parquet(table, handle)
 
 
 def _write_parquet(table: pa.Table, handle: IO[bytes]) -> None:
@@ -183,21 +214,8 @@ def _write_parquet(table: pa.Table, handle: IO[bytes]) -> None:
     )
 
 
-def _read_parquet(schema: TableSchema, path: Path, sidecar: Sidecar, verify: bool) -> pa.Table:
-    """The table in a Parquet file, held against schema and sidecar; raises StoreError or SchemaError without the path."""
-    try:
-        # The reader fills a column that is not there with nulls and leaves out one that is unknown, so the file's own schema comes first.
-        found = pq.read_schema(path)
-        if not found.equals(schema.arrow):
-            raise StoreError(f"holds {_schema_difference(found, schema.arrow)}")
-        table = pq.read_table(path, schema=schema.arrow)
-        if table.num_rows != sidecar.rows:
-            raise StoreError(f"has {table.num_rows} rows, sidecar says {sidecar.rows}")
-        if verify:
-            check_table(schema, table)
-    except (pa.ArrowException, OSError) as error:
-        raise StoreError(f"cannot be read as Parquet: {' '.join(str(error).split())}") from error
-    return table
+def _unreadable(error: Exception) -> str:
+    return f"cannot be read as Parquet: {' '.join(str(error).split())}"
 
 
 def _schema_difference(found: pa.Schema, expected: pa.Schema) -> str:

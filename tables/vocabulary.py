@@ -96,6 +96,22 @@ class Split(StrEnum):
     TEST = "test"
 
 
+class SplitScheme(StrEnum):
+    """By what scene groups are dealt to the splits; each scheme has a column of table `splits`."""
+
+    SCENE = "scene"  # the paper's: by scene, objects known
+    OBJECT = "object"
+    CATEGORY_CAN = "category_can"  # tests on cans, trains on the other categories; likewise the next two
+    CATEGORY_MUG = "category_mug"
+    CATEGORY_CUBOID = "category_cuboid"
+    LAYOUT = "layout"
+
+    @property
+    def column(self) -> str:
+        """Name of its column: `split` for the paper's, `split_<scheme>` for the others."""
+        return "split" if self is SplitScheme.SCENE else f"split_{self.value}"
+
+
 class Perturbation(StrEnum):
     """How a repeat execution differs from the stored one."""
 

@@ -15,7 +15,8 @@ import pyarrow as pa
 
 from objects.build import ObjectTables
 from pipelines.running.data_root import DataRoot
-from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES, SCHEMA_VERSION
+from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES
+from tables.sidecar import has_schema_of_today
 from tables.store import Sidecar, StoreError, file_sha256, read_sidecar, read_table, sidecar_path, table_from_rows, write_table
 
 
@@ -67,7 +68,7 @@ def intact_sidecars(
     try:
         for name, path in paths.items():
             sidecar = read_sidecar(path)
-            if sidecar.made_from != sources or sidecar.schema_version != SCHEMA_VERSION:
+            if sidecar.made_from != sources or not has_schema_of_today(sidecar, ALL_SCHEMAS[name]):
                 return None
             if sidecar.table != name or file_sha256(path) != sidecar.sha256:
                 raise StoreError(f"{path}: is not the table {name} that its sidecar tells of")

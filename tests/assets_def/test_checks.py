@@ -21,9 +21,10 @@ from assets_def.stages import stage_assets
 from assets_def.trees_assets import TREE_PREDICTIONS, trees_step
 from model.features import CANDIDATE_GEOMETRY
 from pipelines.stages import STAGES
+from splits.manifest import files_of_table
 from tables.columns import TableSchema
 from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES
-from tables.store import file_sha256, read_sidecar, read_table, sidecar_path, table_from_rows, write_table
+from tables.store import file_sha256, read_parquet, read_sidecar, read_table, sidecar_path, table_from_rows, write_parquet, write_table
 from tests.assets_def.conftest import Built, run
 from tests.assets_def.small import SHARD, TIER, SmallBenchmark
 
@@ -92,6 +93,14 @@ def edit(asset: str, change: Callable[[Rows], None], benchmark: Benchmark, path:
     change(rows)
     before = read_sidecar(path)
     write_table(table_of(asset), table_from_rows(table_of(asset), rows), path, before.made_from, of=before.of)
+
+
+def edit_released(asset: str, change: Callable[[Rows], None], benchmark: Benchmark) -> None:
+    """Change the rows in the first file with rows of a released table."""
+    paths = [benchmark.root.release(TIER) / file for file in files_of_table(asset)]
+    path, rows = next((path, rows) for path in paths if (rows := read_parquet(table_of(asset), path).to_pylist()))
+    change(rows)
+    write_parquet(table_of(asset), table_from_rows(table_of(asset), rows), path)
 
 
 @pytest.fixture
@@ -172,6 +181,8 @@ LAW_FAULTS: list[tuple[str, str, Callable[[Rows], None], str]] = [
     ("candidates", "candidates", dropped(), "candidate_pairs: 1 of lifted grasps x targets are missing"),
     ("candidates", "grasps", changed({"lift_status": "lifted"}, lift_status="slipped"), "are missing in lifted grasps x targets"),
     ("splits", "splits", dropped(scene_id="mini-0000"), "scene_without_split: mini-0000"),
+    ("splits", "splits", changed({"scene_id": "mini-0000"}, split_category_can="train"), "not_held_out: mini-0000: category can in train"),
+    ("splits", "splits", changed({"scene_id": "mini-0000"}, split_layout="test"), "not_held_out: mini-0000: obstacles 0 in test"),
     ("splits", "candidates", changed({"scene_id": "mini-0000"}, candidate_id="mini-0008-t0-g63"), "candidate_of_another_scene"),
 ]
 
@@ -191,10 +202,7 @@ RELEASE_FAULTS: list[tuple[Callable[[SmallBenchmark], None], str]] = [
     (lambda b: flip_a_byte(b.root.release(TIER) / "scenes.parquet"), "scenes.parquet: SHA-256"),
     (lambda b: flip_a_byte(b.root.release(TIER) / "README.md"), "README.md: SHA-256"),
     (lambda b: (b.root.release(TIER) / "manifest.json").unlink(), "manifest.json"),
-    (
-        lambda b: edit("candidates", changed(PLANNED, plan_status="no_ik"), b, b.root.release(TIER) / "candidates.parquet"),
-        "candidates.parquet: SHA-256",
-    ),
+    (lambda b: edit_released("candidates", changed(PLANNED, plan_status="no_ik"), b), "part-0.parquet: SHA-256"),
 ]
 
 

@@ -15,8 +15,9 @@ from assets_def.products import FilesProduct, TableProduct
 from assets_def.resources import REPOSITORY, Benchmark
 from tables.schemas import SCENES, SPLITS
 from tables.store import read_sidecar, sidecar_path, table_from_rows, write_table
+from tests.split_rows import split_row
 
-ROWS = table_from_rows(SPLITS, [{"scene_id": "mini-0000", "split": "train"}, {"scene_id": "mini-0001", "split": "test"}])
+ROWS = table_from_rows(SPLITS, [split_row("mini-0000", "train"), split_row("mini-0001", "test")])
 MADE_FROM = {"code": "1", "table.scenes": "abc"}
 
 

@@ -15,6 +15,7 @@ from model.features import CANDIDATE_GEOMETRY
 from model.trees import read_tree_data
 from reports.trees_probe import tree_predictions
 from splits.release import write_release
+from splits.release_reader import Release
 from tables.schemas import ALL_SCHEMAS, PREDICTIONS
 from tables.store import read_table, table_from_rows
 from tests.model.synthetic_release import RELEASE_SCHEMAS, TOLERANCES, write_synthetic_release
@@ -55,7 +56,7 @@ def test_the_tables_and_the_report_are_made_once(benchmark: Benchmark) -> None:
 def test_another_release_makes_them_again(benchmark: Benchmark) -> None:
     assert run(benchmark).success
     release_dir = benchmark.root.release(TIER)
-    tables = {schema.name: read_table(schema, release_dir / f"{schema.name}.parquet") for schema in RELEASE_SCHEMAS}
+    tables = Release.open(release_dir).tables()
     rows = tables["policy_features"].to_pylist()
     rows[0]["ik_feasible"] = not rows[0]["ik_feasible"]
     tables["policy_features"] = table_from_rows(ALL_SCHEMAS["policy_features"], rows)

@@ -21,7 +21,7 @@ from tables.identity import candidate_id_of, rng_for, scene_id_of
 from tables.poses import inverse, pose_columns, pose_of, rotation_angle_rad
 from tables.store import table_from_rows, write_table
 from tables.tolerances import Tolerances
-from tables.vocabulary import AdmissionStatus, ExecStatus, LiftStatus, PlanStatus, Split
+from tables.vocabulary import AdmissionStatus, ExecStatus, LiftStatus, PlanStatus, Split, SplitScheme
 
 Row = dict[str, Any]
 
@@ -81,7 +81,7 @@ def _add_scene(rows: dict[str, list[Row]], index: int, seed: int, n_points: int)
 
     split = {3: Split.VALIDATION, 4: Split.TEST}.get(index % 5, Split.TRAIN)
     scene = {"scene_id": scene_id, "object_id": object_id, "category": category, "n_obstacles": n_obstacles}
-    rows["splits"].append({"scene_id": scene_id, "split": split.value})
+    rows["splits"].append({"scene_id": scene_id, **_split_columns(index, scene, split)})
     rows["scenes"].append({**scene, "scene_index": index, "stable_pose_id": 0, "n_attempts": 1, **_pose_row("object", T_base_object)})
     for obstacle_id, T in enumerate(obstacles):
         size_row = dict(zip(("size_x_m", "size_y_m", "size_z_m"), _OBSTACLE_SIZE_M.tolist(), strict=True))
@@ -106,6 +106,21 @@ def _add_scene(rows: dict[str, list[Row]], index: int, seed: int, n_points: int)
             for stage, core_ms in (("policy_ik", 0.4), ("policy_gripper", 2.0), ("planning", 8.0), ("execution", 120.0)):
                 if stage != "execution" or labels["y_plan"]:
                     rows["timings"].append({"stage": stage, "item_id": labels["candidate_id"], "core_ms": core_ms})
+
+
+def _split_columns(index: int, scene: Row, split: Split) -> Row:
+    """The scene's split under every scheme: of the six objects the last is test and the one before it validation."""
+    held_out = {
+        SplitScheme.CATEGORY_CAN: scene["category"] == "can",
+        SplitScheme.CATEGORY_MUG: scene["category"] == "mug",
+        SplitScheme.CATEGORY_CUBOID: scene["category"] == "cuboid",
+        SplitScheme.LAYOUT: scene["n_obstacles"] == 2,
+    }
+    seen = Split.VALIDATION if split is Split.VALIDATION else Split.TRAIN
+    by_object = {4: Split.VALIDATION, 5: Split.TEST}.get(index % len(_OBJECTS), Split.TRAIN)
+    schemes = {SplitScheme.SCENE: split, SplitScheme.OBJECT: by_object}
+    schemes |= {scheme: Split.TEST if is_held_out else seen for scheme, is_held_out in held_out.items()}
+    return {scheme.column: own.value for scheme, own in schemes.items()}
 
 
 def _labels(

@@ -138,7 +138,7 @@ def let_through(patched: pytest.MonkeyPatch, table: str, column: str) -> None:
     def columns(self: InputReader, name: str, asked: Sequence[str]) -> pa.Table:
         return monitored(self, name, (*asked, column) if name == table else asked)
 
-    patched.setattr(inputs, "check_columns", lambda table, columns: None)
+    patched.setattr(inputs, "check_columns", lambda table, columns, scheme: None)
     patched.setattr(InputReader, "columns", columns)
 
 

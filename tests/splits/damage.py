@@ -8,17 +8,22 @@ import io
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from splits.manifest import MANIFEST, TableEntry, content_sha256, release_hash_of
+from splits.errors import ReleaseError
+from splits.manifest import BY_SPLIT, MANIFEST, TableEntry, content_sha256, files_of_table, read_manifest, release_hash_of
 from splits.release import main
-from tables.store import Sidecar, content_hash
+from splits.release_reader import Release
+from splits.release_texts import render_texts
+from tables.store import content_hash
+from tables.vocabulary import Split
 
+TRAIN_FILE = files_of_table("candidates")[0]
 PROVENANCE = {"recipe_hash": "0" * 64, "catalogue_hash": "c" * 64, "git_commit": "a1" * 20, "code.scenes": "2"}
 
 Damage = Callable[[Path], object]
@@ -26,6 +31,11 @@ Damage = Callable[[Path], object]
 
 def copy_of(release: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(release, tmp_path / "copy", dirs_exist_ok=True))
+
+
+def contents(directory: Path) -> dict[str, bytes]:
+    """The bytes of every file by its path in the folder."""
+    return {path.relative_to(directory).as_posix(): path.read_bytes() for path in sorted(directory.rglob("*")) if path.is_file()}
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -104,31 +114,38 @@ def relisted(name: str, change: Callable[[bytes], bytes]) -> Damage:
     return damage
 
 
-def sidecar(name: str, **values: object) -> Damage:
-    """Fields of a sidecar changed (`...` takes one away), the manifest made to fit."""
-
-    def change(content: bytes) -> bytes:
-        fields = json.loads(content) | values
-        return json.dumps({key: value for key, value in fields.items() if value is not ...}).encode()
-
-    return relisted(f"{name}.parquet.json", change)
-
-
 def republished(directory: Path, name: str, table: pa.Table | bytes) -> None:
-    """Replace a table by any other, of its schema or not, or by any bytes; sidecar, checksums and release hash are made to fit."""
-    path = directory / f"{name}.parquet"
-    content = read_json(directory / MANIFEST)
-    entry = content["tables"].setdefault(name, {"file": path.name, "rows": 0, "content_hash": "0" * 64})
+    """Replace a table by any other, of its schema or not, or its first file by any bytes; checksums and release hash are made to fit.
+
+    The texts stay as they were (see `rerendered`).
+    """
+    content, files = read_json(directory / MANIFEST), files_of_table(name)
+    entry = content["tables"].setdefault(name, {"files": list(files), "rows": 0, "content_hash": "0" * 64})
     if isinstance(table, bytes):
-        path.write_bytes(table)
+        (directory / files[0]).write_bytes(table)
     else:
-        pq.write_table(table, path)
+        for file, part in zip(files, _parts(directory, name, table), strict=True):
+            pq.write_table(part, directory / file)
         entry |= {"rows": table.num_rows, "content_hash": content_hash(table)}
-    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
-    found = Sidecar(name, entry["rows"], sha256, entry["content_hash"], content["schema_version"], content["tier"], content["provenance"])
-    path.with_name(f"{path.name}.json").write_text(json.dumps(asdict(found)))
     _write_with_release_hash(directory, content)
-    listed(directory, path.name, f"{path.name}.json")
+    listed(directory, *files)
+
+
+def rerendered(directory: Path) -> None:
+    """Make the texts those of the tables that are there now, as far as these can be read; the manifest is made to fit."""
+    with contextlib.suppress(ReleaseError):
+        texts = render_texts(Release.open(directory).tables(), read_manifest(directory))
+        for name, text in texts.items():
+            (directory / name).write_text(text)
+        listed(directory, *texts)
+
+
+def _parts(directory: Path, name: str, table: pa.Table) -> list[pa.Table]:
+    if name not in BY_SPLIT:
+        return [table]
+    split_of = {row["scene_id"]: row["split"] for row in pq.read_table(directory / "splits.parquet").to_pylist()}
+    own = pa.array([split_of.get(scene_id) for scene_id in table["scene_id"].to_pylist()], pa.string())
+    return [table.filter(pc.equal(own, split.value)) for split in Split]
 
 
 def without(name: str) -> Damage:
@@ -137,7 +154,7 @@ def without(name: str) -> Damage:
     def damage(directory: Path) -> None:
         content = read_json(directory / MANIFEST)
         del content["tables"][name]
-        for file in (f"{name}.parquet", f"{name}.parquet.json"):
+        for file in files_of_table(name):
             (directory / file).unlink()
             del content["files"][file]
         _write_with_release_hash(directory, content)

@@ -46,7 +46,9 @@ def with_twin(tables: dict[str, pa.Table], shift_m: float, turn_rad: float, spli
             if key:
                 row[key] = len(own) - 1 - number
         out[name] = table_from_rows(schema, rows + own)
-    out["splits"] = table_from_rows(schemas.SPLITS, [*tables["splits"].to_pylist(), {"scene_id": twin, "split": split}])
+    splits = tables["splits"].to_pylist()
+    own_splits = next(row for row in splits if row["scene_id"] == source)
+    out["splits"] = table_from_rows(schemas.SPLITS, [*splits, {**own_splits, "scene_id": twin, "split": split}])
     return out
 
 
@@ -64,6 +66,51 @@ def test_a_scene_in_two_splits_leaks(release_tables: dict[str, pa.Table]) -> Non
     (leak,) = find_leaks(release_tables | {"splits": both})
     assert leak.kind is LeakKind.SCENE_IN_TWO_SPLITS
     assert str(leak) == "scene_in_two_splits: full-0003: in 2 splits (train, validation), must be in 1"
+
+
+def test_a_scene_in_two_splits_of_any_scheme_leaks(release_tables: dict[str, pa.Table]) -> None:
+    rows = release_tables["splits"].to_pylist()
+    own = next(row for row in rows if row["scene_id"] == "full-0000")
+    both = pa.Table.from_pylist([*rows, own | {"split_layout": "validation"}])
+    assert [str(leak) for leak in find_leaks(release_tables | {"splits": both})] == [
+        "scene_in_two_splits: full-0000: in 2 splits of scheme layout (train, validation), must be in 1"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("scene_id", "column", "split", "said"),
+    [
+        ("full-0005", "split_object", "train", "object_in_two_splits: cuboid_02: in 2 splits of scheme object (test, train), must be in 1"),
+        (
+            "full-0004",
+            "split_object",
+            "test",
+            "object_in_two_splits: mug_02: in 2 splits of scheme object (test, validation), must be in 1",
+        ),
+        ("full-0000", "split_category_can", "train", "not_held_out: full-0000: category can in train of scheme category_can"),
+        ("full-0003", "split_category_can", "validation", "not_held_out: full-0003: category can in validation of scheme category_can"),
+        ("full-0001", "split_category_cuboid", "test", "not_held_out: full-0001: category mug in test of scheme category_cuboid"),
+        ("full-0001", "split_category_mug", "train", "not_held_out: full-0001: category mug in train of scheme category_mug"),
+        ("full-0002", "split_layout", "train", "not_held_out: full-0002: obstacles 2 in train of scheme layout, whose test must have all"),
+        ("full-0001", "split_layout", "test", "not_held_out: full-0001: obstacles 1 in test of scheme layout, whose test must have all"),
+    ],
+)
+def test_what_a_scheme_promises_is_checked(release_tables: dict[str, pa.Table], scene_id: str, column: str, split: str, said: str) -> None:
+    """One scene on the wrong side of one scheme, rows that no schema forbids."""
+    planted = changed(schemas.SPLITS, release_tables["splits"], lambda row: row["scene_id"] == scene_id, **{column: split})
+    (leak,) = find_leaks(release_tables | {"splits": planted})
+    assert str(leak).startswith(said)
+
+
+def test_obstacles_and_objects_are_counted_and_not_believed(release_tables: dict[str, pa.Table]) -> None:
+    """A scene whose row says 2 obstacles where there is 1, or another category than its object's, is where the facts put it."""
+    fewer = pa.Table.from_pylist(
+        [row for row in release_tables["obstacles"].to_pylist() if (row["scene_id"], row["obstacle_id"]) != ("full-0002", 1)]
+    )
+    assert [leak.ids for leak in find_leaks(release_tables | {"obstacles": fewer})] == [("full-0002",)]
+    renamed = changed(schemas.OBJECTS, release_tables["objects"], lambda row: row["object_id"] == "can_02", category="mug")
+    leaks = find_leaks(release_tables | {"objects": renamed})
+    assert {(leak.kind, *leak.ids) for leak in leaks} == {(LeakKind.NOT_HELD_OUT, name) for name in ("full-0003", "full-0009")}
 
 
 def test_a_scene_without_a_split_leaks(release_tables: dict[str, pa.Table]) -> None:
@@ -110,6 +157,14 @@ def test_near_identical_scenes_leak_across_splits_only(
     if is_leak:
         assert leaks[0].ids == ("full-0002", "full-0099")
     assert find_leaks(with_twin(release_tables, shift_m, np.deg2rad(turn_deg), own, half_turn)) == []
+
+
+def test_near_identical_scenes_leak_across_splits_of_another_scheme(release_tables: dict[str, pa.Table]) -> None:
+    twins = with_twin(release_tables, 0.0, 0.0, split_in(release_tables, "full-0002"))
+    apart = changed(schemas.SPLITS, twins["splits"], lambda row: row["scene_id"] == "full-0099", split_category_can="validation")
+    (leak,) = find_leaks(twins | {"splits": apart})
+    assert leak.kind is LeakKind.NEAR_IDENTICAL_SCENES
+    assert leak.found.endswith("in train and validation of scheme category_can")
 
 
 @pytest.mark.parametrize("table", ["obstacles", "targets"])

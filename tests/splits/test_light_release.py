@@ -18,7 +18,7 @@ from splits.release_reader import Release
 from tables import schemas
 from tests.model.synthetic_release import TOLERANCES
 from tests.splits.changed import changed
-from tests.splits.damage import PROVENANCE, copy_of, republished, rewritten
+from tests.splits.damage import PROVENANCE, TRAIN_FILE, contents, copy_of, relisted, republished, rewritten
 
 LEFT_OUT = ("scene_points", "timings")  # of the heavy tables those that the synthetic release has
 
@@ -33,8 +33,7 @@ def light(release: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_light_release_is_the_whole_one_without_its_heavy_tables(release: Path, light: Path) -> None:
     absent = {file for name in LEFT_OUT for file in files_of_table(name)}
-    whole = {path.name: path.read_bytes() for path in release.iterdir()}
-    assert {path.name: path.read_bytes() for path in light.iterdir()} == {k: v for k, v in whole.items() if k not in absent}
+    assert contents(light) == {name: content for name, content in contents(release).items() if name not in absent}
     assert read_manifest(light) == read_manifest(release)
     assert set(LEFT_OUT) <= read_manifest(light).tables.keys(), "the manifest still says what the tables are"
 
@@ -74,12 +73,12 @@ def test_it_is_verified_on_request_only(release: Path, light: Path, capsys: pyte
 
 DAMAGES: list[tuple[str, Callable[[Path], object], str]] = [
     ("another table", lambda d: [(d / file).unlink() for file in files_of_table("targets")], r"targets\.parquet: missing"),
-    ("a sidecar", lambda d: (d / "targets.parquet.json").unlink(), r"targets\.parquet\.json: missing"),
+    ("a split", lambda d: (d / TRAIN_FILE).unlink(), r"candidates/split=train/part-0\.parquet: missing"),
     ("the card", lambda d: (d / "README.md").unlink(), r"README\.md: missing"),
     ("a byte", rewritten("grasps.parquet", lambda b: b[:100] + b"?" + b[101:]), r"grasps\.parquet: SHA-256"),
     ("a stranger", lambda d: (d / "notes.txt").write_text("mine"), r"notes\.txt: not in the manifest"),
     ("half a heavy table", lambda d: (d / "scene_points.parquet").write_bytes(b"PAR1"), r"scene_points\.parquet: 4 bytes, manifest says"),
-    ("another half", lambda d: (d / "timings.parquet.json").write_text("{}"), r"timings\.parquet: missing"),
+    ("a datasheet of other data", relisted("DATASHEET.md", lambda b: b.replace(b"pilot", b"full", 1)), r"DATASHEET\.md: line 1 is"),
 ]
 
 
@@ -105,11 +104,11 @@ def test_a_light_copy_is_made_of_a_sound_release_in_a_folder_of_its_own(release:
     rewritten("scene_points.parquet", lambda b: b[:100] + bytes([b[100] ^ 1]) + b[101:])(damaged)
     with pytest.raises(ReleaseError, match=r"scene_points\.parquet: SHA-256"):
         make_light(damaged, tmp_path / "of damaged")
-    before = {path.name: path.read_bytes() for path in release.iterdir()}
+    before = contents(release)
     for folder in (release, release / "light", release.parent):
         with pytest.raises(ReleaseError, match="neither the release itself nor in it nor around it"):
             make_light(release, folder)
-    assert {path.name: path.read_bytes() for path in release.iterdir()} == before
+    assert contents(release) == before
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("mine")
     with pytest.raises(ReleaseError, match=r"notes\.txt: not a file of a release"):
@@ -121,5 +120,5 @@ def test_a_light_copy_is_made_of_a_sound_release_in_a_folder_of_its_own(release:
 def test_a_light_copy_replaces_a_whole_release(release: Path, release_tables: dict[str, pa.Table], light: Path, tmp_path: Path) -> None:
     write_release(release_tables, tmp_path, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     make_light(release, tmp_path)
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {path.name: path.read_bytes() for path in light.iterdir()}
+    assert contents(tmp_path) == contents(light)
     assert (tmp_path / MANIFEST).exists()

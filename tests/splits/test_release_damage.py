@@ -10,8 +10,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from splits.manifest import CARD, MANIFEST
-from tests.splits.damage import Damage, answer, copy_of, edited, rewritten, swapped
+from splits.manifest import CARD, CROISSANT, DATASHEET, MANIFEST
+from tests.splits.damage import TRAIN_FILE, Damage, answer, copy_of, edited, rewritten, swapped
 
 HALF = slice(None, 2000)
 
@@ -51,21 +51,28 @@ FILES: list[tuple[str, Damage, list[str]]] = [
     ("no manifest", lambda d: (d / MANIFEST).unlink(), [MANIFEST, "missing", "no complete release"]),
     ("a folder for the manifest", folder_for(MANIFEST), [MANIFEST, "cannot be read", "directory"]),
     ("no table", lambda d: (d / "targets.parquet").unlink(), ["targets.parquet: missing"]),
-    ("no sidecar", lambda d: (d / "targets.parquet.json").unlink(), ["targets.parquet.json: missing"]),
+    ("no datasheet", lambda d: (d / DATASHEET).unlink(), [f"{DATASHEET}: missing"]),
+    ("no split", lambda d: (d / TRAIN_FILE).unlink(), [f"{TRAIN_FILE}: missing"]),
     ("no card", lambda d: (d / CARD).unlink(), [f"{CARD}: missing"]),
     ("a folder for a table", folder_for("targets.parquet"), ["targets.parquet: not a file"]),
     ("a link to nothing", link_to_nothing, ["targets.parquet: missing"]),
-    ("a truncated table", rewritten("candidates.parquet", lambda b: b[HALF]), ["candidates.parquet: 2,000 bytes, manifest says"]),
-    ("an empty table file", rewritten("candidates.parquet", lambda b: b""), ["candidates.parquet: 0 bytes, manifest says"]),
+    ("a truncated table", rewritten(TRAIN_FILE, lambda b: b[HALF]), [f"{TRAIN_FILE}: 2,000 bytes, manifest says"]),
+    ("an empty table file", rewritten(TRAIN_FILE, lambda b: b""), [f"{TRAIN_FILE}: 0 bytes, manifest says"]),
+    ("an edited Croissant", rewritten(CROISSANT, lambda b: b.replace(b"cr:Int32", b"cr:Int16", 1)), [f"{CROISSANT}: SHA-256"]),
     ("a longer card", rewritten(CARD, lambda b: b + b"\n"), [CARD, "bytes, manifest says"]),
     ("a word of the card", rewritten(CARD, lambda b: b.replace(b"train", b"brain")), [f"{CARD}: SHA-256", "manifest says"]),
     ("swapped tables", swapped("scenes.parquet", "targets.parquet"), ["scenes.parquet:", "bytes, manifest says"]),
-    ("swapped sidecars", swapped("scenes.parquet.json", "splits.parquet.json"), ["scenes.parquet.json: SHA-256"]),
     ("a foreign file", lambda d: (d / "notes.txt").write_text("mine"), ["notes.txt: not in the manifest", "must be 0"]),
     ("a hidden file", lambda d: (d / ".DS_Store").write_text("mine"), [".DS_Store: not in the manifest"]),
     ("a foreign folder", lambda d: (d / "old").mkdir(), ["old: not in the manifest"]),
     ("a foreign table", lambda d: shutil.copy(d / "targets.parquet", d / "more.parquet"), ["more.parquet: not in the manifest"]),
-    ("a foreign sidecar", lambda d: (d / "more.parquet.json").write_text("{}"), ["more.parquet.json: not in the manifest"]),
+    (
+        "a foreign file of a split",
+        lambda d: shutil.copy(d / TRAIN_FILE, (d / TRAIN_FILE).with_name("b.parquet")),
+        ["b.parquet: not in the"],
+    ),
+    ("a foreign split", lambda d: (d / "candidates" / "split=all").mkdir(), ["candidates/split=all: not in the manifest"]),
+    ("a sidecar", lambda d: (d / "more.parquet.json").write_text("{}"), ["more.parquet.json: not in the manifest"]),
 ]
 
 # A manifest that is no manifest, or one that was edited by hand.
@@ -132,7 +139,7 @@ def own_copy(release: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @given(data=st.data())
 @settings(max_examples=200)
 def test_any_other_byte_in_any_file_is_found(own_copy: Path, data: st.DataObject) -> None:
-    path = own_copy / data.draw(st.sampled_from(sorted(path.name for path in own_copy.iterdir())))
+    path = data.draw(st.sampled_from(sorted(path for path in own_copy.rglob("*") if path.is_file())))
     content = path.read_bytes()
     position = data.draw(st.integers(0, len(content) - 1))
     other = data.draw(st.integers(0, 255).filter(lambda byte: byte != content[position]))
@@ -146,7 +153,7 @@ def test_any_other_byte_in_any_file_is_found(own_copy: Path, data: st.DataObject
 @given(data=st.data())
 @settings(max_examples=100)
 def test_any_missing_or_added_stretch_of_bytes_is_found(own_copy: Path, data: st.DataObject) -> None:
-    path = own_copy / data.draw(st.sampled_from(sorted(path.name for path in own_copy.iterdir())))
+    path = data.draw(st.sampled_from(sorted(path for path in own_copy.rglob("*") if path.is_file())))
     content = path.read_bytes()
     start, stop = sorted((data.draw(st.integers(0, len(content))), data.draw(st.integers(0, len(content)))))
     added = data.draw(st.binary(max_size=20))

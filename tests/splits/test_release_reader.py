@@ -13,7 +13,8 @@ from splits.errors import ReleaseError
 from splits.manifest import CARD, MANIFEST
 from splits.release_reader import Release
 from tables.identity import IdentityError
-from tests.splits.damage import Damage, copy_of, edited, republished, rewritten, sidecar, signed
+from tables.vocabulary import SplitScheme
+from tests.splits.damage import Damage, copy_of, edited, republished, rewritten, signed
 
 
 @pytest.mark.parametrize("verify", [False, True])
@@ -43,11 +44,11 @@ def test_each_table_is_read_once(release: Path, tmp_path: Path) -> None:
 def test_candidates_are_strings_with_their_split(release: Path, release_tables: dict[str, pa.Table]) -> None:
     frame = Release.open(release).candidates
     rows = release_tables["candidates"].to_pylist()
-    split_of = {row["scene_id"]: row["split"] for row in release_tables["splits"].to_pylist()}
-    assert frame.columns == [*release_tables["candidates"].column_names, "split"]
-    assert frame.to_dicts() == [row | {"split": split_of[row["scene_id"]]} for row in rows]
+    splits_of = {row["scene_id"]: row for row in release_tables["splits"].to_pylist()}
+    assert frame.columns == [*release_tables["candidates"].column_names, *(scheme.column for scheme in SplitScheme)]
+    assert frame.to_dicts() == [row | splits_of[row["scene_id"]] for row in rows]
     assert pl.Categorical not in frame.dtypes
-    assert frame.schema["plan_status"] == frame.schema["split"] == pl.String
+    assert frame.schema["plan_status"] == frame.schema["split"] == frame.schema["split_object"] == pl.String
 
 
 # (name, damage, what the error says, whether the sizes alone show it)
@@ -91,10 +92,10 @@ def test_a_table_that_is_not_there_is_named(release: Path) -> None:
 
 def test_a_table_that_is_not_what_the_manifest_says_is_not_read(release: Path, release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
     directory = copy_of(release, tmp_path)
-    sidecar("targets", rows=1)(directory)
+    signed("tables", "targets", "rows", to=1)(directory)
     republished(directory, "scenes", release_tables["scenes"].drop_columns(["n_obstacles"]))
     opened = Release.open(directory)
-    with pytest.raises(ReleaseError, match=r"targets\.parquet\.json: rows 1, manifest says 96"):
+    with pytest.raises(ReleaseError, match=r"targets\.parquet: 96 rows, manifest says 1"):
         opened.table("targets")
     with pytest.raises(ReleaseError, match=r"scenes\.parquet: column n_obstacles is missing"):
         opened.table("scenes")

@@ -1,4 +1,4 @@
-"""Damage by someone who makes every checksum fit: what the manifest and the sidecars say is judged all the same, one line each."""
+"""Damage by someone who makes every checksum fit: what the manifest and the texts say is judged all the same, one line each."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from splits.manifest import CARD, MANIFEST
-from tests.splits.damage import Damage, answer, copy_of, dropped, listed, relisted, sidecar, signed, swapped
+from splits.manifest import CARD, CROISSANT, DATASHEET, MANIFEST, files_of_table
+from tests.splits.damage import TRAIN_FILE, Damage, answer, copy_of, dropped, listed, relisted, signed, swapped
+
+TEST_FILE = files_of_table("candidates")[2]
 
 
 def foreign_file_listed(directory: Path) -> None:
@@ -32,7 +34,7 @@ SIGNED: list[tuple[str, Damage, list[str]]] = [
     ("a name of two lines", signed("name", to="place\nbench"), [r"name 'place\nbench', must be"]),
     ("an unknown tier", signed("tier", to="bogus"), ["tier: 'bogus' is not a tier", "mini, pilot or full"]),
     ("a tier that is no text", signed("tier", to=["pilot"]), ["tier: ['pilot'] is not a text"]),
-    ("another tier", signed("tier", to="mini"), ["of 'pilot', manifest says 'mini'"]),
+    ("another tier", signed("tier", to="mini"), ["full-0000 is not in tier mini"]),
     ("another licence", signed("licence", to="MIT"), ["licence 'MIT', must be 'CC-BY-4.0'"]),
     ("no licence", signed("licence", to=None), ["licence None, must be"]),
     ("a version of two numbers", signed("version", to="0.1"), ["version '0.1', must be major.minor.patch"]),
@@ -46,10 +48,10 @@ SIGNED: list[tuple[str, Damage, list[str]]] = [
     (
         "a newer schema",
         signed("schema_version", to="3.0.0"),
-        ["schema_version 3.0.0 is of a newer major version than this code knows (2.0.0)"],
+        ["schema_version 3.0.0 is of a newer major version than this code knows (2.1.0)"],
     ),
-    ("another schema", signed("schema_version", to="2.1.0"), ["schema_version 2.1.0, this code reads 2.0.0 only"]),
-    ("an older schema", signed("schema_version", to="0.9.0"), ["schema_version 0.9.0, this code reads 2.0.0 only"]),
+    ("another schema", signed("schema_version", to="2.0.0"), ["schema_version 2.0.0, this code reads 2.1.0 only"]),
+    ("an older schema", signed("schema_version", to="0.9.0"), ["schema_version 0.9.0, this code reads 2.1.0 only"]),
     ("a schema version that is a number", signed("schema_version", to=1), ["schema_version 1, must be major.minor.patch"]),
     ("no version", dropped("version"), ["version None, must be major.minor.patch"]),
     ("newer data of other fields", lambda d: (dropped("licence")(d), signed("version", to="7.0.0")(d)), ["newer major version"]),
@@ -87,29 +89,29 @@ SIGNED: list[tuple[str, Damage, list[str]]] = [
     ("provenance that is a list", signed("provenance", to=[]), ["provenance [], must be an object of texts"]),
     ("provenance that is a number", signed("provenance", "code.scenes", to=2), ["provenance.code.scenes 2", "must be texts"]),
     ("provenance that is empty", signed("provenance", "code.scenes", to=" "), ["provenance.code.scenes ' '", "not empty"]),
-    ("other provenance", signed("provenance", "git_commit", to="unknown"), ["candidates.parquet.json: made_from", "manifest says"]),
+    ("other provenance", signed("provenance", "git_commit", to="unknown"), [f"{CARD}: line", "the data make"]),
     ("libraries that are a text", signed("libraries", to="numpy 2"), ["libraries 'numpy 2', must be an object of texts"]),
     ("a library without a version", signed("libraries", "numpy", to=None), ["libraries.numpy None", "must be texts"]),
     ("tables that are a list", signed("tables", to=[]), ["tables [], must be an object of entries"]),
-    ("tables that are none", signed("tables", to={}), ["files: missing [], unknown ['candidates.parquet'"]),
+    ("tables that are none", signed("tables", to={}), ["files: missing [], unknown ['candidates/split="]),
     ("a table that is a text", signed("tables", "targets", to="x"), ["tables.targets 'x', must be an object with"]),
     ("a table without rows", dropped("tables", "targets", "rows"), ["tables.targets: missing ['rows']"]),
     ("a table with more", signed("tables", "targets", "mood", to=1), ["tables.targets: missing [], unknown ['mood']"]),
     ("rows that are a text", signed("tables", "targets", "rows", to="96"), ["tables.targets: rows '96', must be a whole number"]),
     ("rows below 0", signed("tables", "targets", "rows", to=-1), ["tables.targets: rows -1, must be a whole number of at least 0"]),
     ("rows that are true", signed("tables", "targets", "rows", to=True), ["tables.targets: rows True, must be a whole number"]),
-    ("other rows", signed("tables", "targets", "rows", to=95), ["targets.parquet.json: rows 96, manifest says 95"]),
+    ("other rows", signed("tables", "targets", "rows", to=95), ["targets.parquet: 96 rows, manifest says 95"]),
     (
         "a content hash that is none",
         signed("tables", "targets", "content_hash", to="x"),
         ["tables.targets: content_hash 'x', must be 64 hex"],
     ),
     ("another content hash", signed("tables", "targets", "content_hash", to="0" * 64), ["release_hash", "must be"]),
-    ("a file outside", signed("tables", "targets", "file", to="../t.parquet"), ["file '../t.parquet', must be 'targets.parquet'"]),
+    ("a file outside", signed("tables", "targets", "files", to=["../t.parquet"]), ["files ['../t.parquet'], must be ['targets.parquet']"]),
     (
         "a file of another table",
-        signed("tables", "targets", "file", to="scenes.parquet"),
-        ["file 'scenes.parquet', must be 'targets.parquet'"],
+        signed("tables", "targets", "files", to=["scenes.parquet"]),
+        ["files ['scenes.parquet'], must be ['targets.parquet']"],
     ),
     ("another release hash", signed("release_hash", to="0" * 64), ["release_hash '0000", "must be '"]),
     ("a release hash that is a list", signed("release_hash", to=[]), ["release_hash [], must be '"]),
@@ -121,23 +123,22 @@ SIGNED: list[tuple[str, Damage, list[str]]] = [
     ("another size", signed("files", CARD, "bytes", to=1), [f"{CARD}: ", "bytes, manifest says 1"]),
     ("a SHA-256 in capitals", signed("files", CARD, "sha256", to="A" * 64), [f"files.{CARD}: sha256 'AAA", "must be 64 hex digits"]),
     ("another SHA-256", signed("files", CARD, "sha256", to="0" * 64), [f"{CARD}: SHA-256", "manifest says 000000000000"]),
-    ("a sidecar that is no JSON", relisted("targets.parquet.json", lambda b: b"{"), ["targets.parquet.json: cannot be read as a sidecar"]),
+    ("swapped and listed", swapped_and_relisted("scenes.parquet", "splits.parquet"), ["scenes.parquet: column", "is missing"]),
+    ("swapped splits", swapped_and_relisted(TRAIN_FILE, TEST_FILE), [f"{TRAIN_FILE}: scene full-0004 is in split test, must be in train"]),
+    ("truncated and listed", relisted(TRAIN_FILE, lambda b: b[:2000]), [f"{TRAIN_FILE}: "]),
     (
-        "a sidecar that is no text",
-        relisted("targets.parquet.json", lambda b: b"\xff"),
-        ["targets.parquet.json: cannot be read as a sidecar"],
+        "a card of other data",
+        relisted(CARD, lambda b: b.replace(b"| train |", b"| trian |")),
+        [f"{CARD}: line", "trian", "the data make '| train"],
     ),
-    ("a nested sidecar", relisted("targets.parquet.json", lambda b: b"[" * 100_000), ["targets.parquet.json: cannot be read as a sidecar"]),
-    ("a sidecar that is a list", relisted("targets.parquet.json", lambda b: b"[1]"), ["targets.parquet.json: [1], must be an object"]),
-    ("a sidecar without rows", sidecar("targets", rows=...), ["targets.parquet.json: missing ['rows']"]),
-    ("a sidecar with more", sidecar("targets", mood=1), ["targets.parquet.json: missing [], unknown ['mood']"]),
-    ("a sidecar of another table", sidecar("targets", table="scenes"), ["targets.parquet.json: table 'scenes', manifest says 'targets'"]),
-    ("a sidecar of other rows", sidecar("targets", rows="96"), ["targets.parquet.json: rows '96', manifest says 96"]),
-    ("a sidecar of another file", sidecar("targets", sha256="0" * 64), ["targets.parquet.json: sha256 '000", "manifest says"]),
-    ("a sidecar of another schema", sidecar("targets", schema_version="0.9.0"), ["targets.parquet.json: schema_version '0.9.0'"]),
-    ("a sidecar made from nothing", sidecar("targets", made_from={}), ["targets.parquet.json: made_from {}, manifest says"]),
-    ("swapped and listed", swapped_and_relisted("scenes.parquet", "splits.parquet"), ["scenes.parquet.json: sha256", "manifest says"]),
-    ("truncated and listed", relisted("candidates.parquet", lambda b: b[:2000]), ["candidates.parquet.json: sha256", "manifest says"]),
+    ("a longer datasheet", relisted(DATASHEET, lambda b: b + b"more\n"), [f"{DATASHEET}: line", "is 'more', the data make None"]),
+    (
+        "an edited Croissant",
+        relisted(CROISSANT, lambda b: b.replace(b'"cr:Float64"', b'"cr:Float32"', 1)),
+        [f"{CROISSANT}: line", "Float64"],
+    ),
+    ("another version", signed("version", to="0.1.1"), [f"{CARD}: line", "0.1.0", "the data make", "0.1.1"]),
+    ("another library", signed("libraries", "numpy", to="9.9.9"), [f"{CROISSANT}: line", "the data make", "numpy 9.9.9"]),
 ]
 
 
@@ -156,8 +157,7 @@ JSON = st.recursive(
 )
 
 
-# Nothing in the folder says which libraries there were, or whether this was called 0.1.0 or 0.1.1.
-_FREE = ("libraries", "version", "manifest_sha256")
+_FREE = ("manifest_sha256",)
 
 
 def paths_of(content: object, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:

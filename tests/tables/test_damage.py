@@ -13,6 +13,7 @@ from tables.identity import IdentityError
 from tables.schemas import SPLITS
 from tables.sidecar import Missing, Sidecar, find_published
 from tables.store import StoreError, read_sidecar, read_table, read_tables, sidecar_path, table_from_rows, write_table
+from tests.split_rows import split_row
 from tests.tables.damage import SIDECAR_DAMAGE, TABLE_DAMAGE, Damage
 
 POINTS = TableSchema("points", "rows for tests", ("id",), (plain("id", "key"), real("x_m", "x", "m")))
@@ -112,7 +113,7 @@ def test_two_swapped_tables_are_noticed(with_sidecars: bool, other: TableSchema,
     if other is MARKS:
         _write(second, x_m=1.0, schema=MARKS)
     else:
-        write_table(SPLITS, table_from_rows(SPLITS, [{"scene_id": "full-0001", "split": "train"}]), second, MADE_FROM, of="mini-000")
+        write_table(SPLITS, table_from_rows(SPLITS, [split_row("full-0001", "train")]), second, MADE_FROM, of="mini-000")
     _swap(path, second)
     if with_sidecars:
         _swap(sidecar_path(path), sidecar_path(second))

@@ -15,8 +15,20 @@ from hypothesis import strategies as st
 
 from tables.columns import SchemaError, TableSchema, enum, flag, integer, integers, plain, real, reals, single
 from tables.schemas import ALL_SCHEMAS, EXECUTION_LABELS, SPLITS
-from tables.store import StoreError, content_hash, read_sidecar, read_table, read_tables, sidecar_path, table_from_rows, write_table
+from tables.store import (
+    StoreError,
+    content_hash,
+    read_parquet,
+    read_sidecar,
+    read_table,
+    read_tables,
+    sidecar_path,
+    table_from_rows,
+    write_parquet,
+    write_table,
+)
 from tables.vocabulary import Split
+from tests.split_rows import split_row
 
 SAMPLE = TableSchema(
     "sample",
@@ -114,12 +126,12 @@ def test_encodings_follow_types_and_values_and_lose_nothing(tmp_path: Path) -> N
 
 
 def test_equal_tables_are_equal_files(tmp_path: Path) -> None:
-    table = table_from_rows(SPLITS, [{"scene_id": f"full-{k:04d}", "split": "train"} for k in range(9)])
+    table = table_from_rows(SPLITS, [split_row(f"full-{k:04d}", "train") for k in range(9)])
     assert write_table(SPLITS, table, tmp_path / "a.parquet").sha256 == write_table(SPLITS, table, tmp_path / "b.parquet").sha256
 
 
 def test_joining_parts_equals_the_whole(tmp_path: Path) -> None:
-    rows = [{"scene_id": f"full-{k:04d}", "split": ["train", "test"][k % 2]} for k in range(10)]
+    rows = [split_row(f"full-{k:04d}", ["train", "test"][k % 2]) for k in range(10)]
     for part in range(2):
         write_table(SPLITS, table_from_rows(SPLITS, rows[part::2]), tmp_path / f"{part}.parquet")
     assert read_tables(SPLITS, [tmp_path / "1.parquet", tmp_path / "0.parquet"]).equals(table_from_rows(SPLITS, rows))
@@ -144,12 +156,12 @@ def test_what_the_schema_forbids_raises(row: dict, message: str) -> None:
 
 def test_repeated_key_raises() -> None:
     with pytest.raises(SchemaError, match="1 repeated keys"):
-        table_from_rows(SPLITS, [{"scene_id": "full-0001", "split": "train"}, {"scene_id": "full-0001", "split": "test"}])
+        table_from_rows(SPLITS, [split_row("full-0001", "train"), split_row("full-0001", "test")])
 
 
 def test_a_changed_byte_is_noticed(tmp_path: Path) -> None:
     path = tmp_path / "t.parquet"
-    write_table(SPLITS, table_from_rows(SPLITS, [{"scene_id": "full-0001", "split": "train"}]), path)
+    write_table(SPLITS, table_from_rows(SPLITS, [split_row("full-0001", "train")]), path)
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(bytes(content))
@@ -171,9 +183,23 @@ def test_a_table_of_another_kind_is_refused(tmp_path: Path) -> None:
         read_table(EXECUTION_LABELS, tmp_path / "t.parquet")
 
 
+def test_without_a_sidecar_it_is_the_same_file(tmp_path: Path) -> None:
+    table = table_from_rows(SAMPLE, [{"id": "a", "split": "train", "x_m": 0.5, "path": [1.0, 2.0]}])
+    write_table(SAMPLE, table, tmp_path / "with.parquet")
+    write_parquet(SAMPLE, table, tmp_path / "split=test" / "without.parquet")
+    assert (tmp_path / "split=test" / "without.parquet").read_bytes() == (tmp_path / "with.parquet").read_bytes()
+    assert [path.name for path in (tmp_path / "split=test").iterdir()] == ["without.parquet"]
+    assert read_parquet(SAMPLE, tmp_path / "split=test" / "without.parquet").equals(table), "no column is read from the folder's name"
+    with pytest.raises(SchemaError, match="sample: schema differs"):
+        write_parquet(SAMPLE, table.drop_columns(["path"]), tmp_path / "split=test" / "without.parquet")
+    assert read_parquet(SAMPLE, tmp_path / "split=test" / "without.parquet").equals(table)
+    with pytest.raises(StoreError, match="holds columns"):
+        read_parquet(SPLITS, tmp_path / "with.parquet")
+
+
 def test_a_failed_write_leaves_the_old_table(tmp_path: Path) -> None:
     path = tmp_path / "t.parquet"
-    write_table(SPLITS, table_from_rows(SPLITS, [{"scene_id": "full-0001", "split": "train"}]), path)
+    write_table(SPLITS, table_from_rows(SPLITS, [split_row("full-0001", "train")]), path)
     wrong = pa.table({"scene_id": ["x"], "split": ["y"]})
     with pytest.raises(SchemaError):
         write_table(SPLITS, wrong, path)

@@ -24,6 +24,7 @@ from tables.schemas import TIMINGS
 from tables.sidecar import sidecar_path
 from tables.store import read_table
 from tests.builders import can_model, made_up_stage
+from tests.split_rows import split_row
 
 SHARD = "mini-000"
 SCENES = scenes_of_shard(SHARD)
@@ -32,7 +33,7 @@ SCENES = scenes_of_shard(SHARD)
 def _draw(unit: Unit) -> UnitResult:
     scene_id = unit.allocation.scene_id
     name = ["train", "validation", "test"][int(rng_for(unit.seed, "draw", scene_id).integers(3))]
-    rows = {"splits": [{"scene_id": scene_id, "split": name}]}
+    rows = {"splits": [split_row(scene_id, name)]}
     return UnitResult(rows, [{"stage": "draw", "item_id": scene_id, "core_ms": 1.0}])
 
 

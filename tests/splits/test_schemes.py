@@ -1,0 +1,200 @@
+"""What the split schemes beside the paper's promise, on every catalogue and universe and on those that are shipped."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from objects.catalogue import CanShape, CuboidShape, catalogue_order, load_catalogue
+from pipelines.scenes.allocation import family_allocation
+from pipelines.values import SceneAllocation
+from splits.scene_groups import SplitError, SplitParams, split_rows
+from splits.schemes import (
+    HELD_OUT_CATEGORY,
+    SizedObject,
+    catalogue_sizes,
+    empty_parts,
+    object_parts,
+    scheme_rows,
+    size_classes,
+    split_table,
+)
+from tables.identity import scenes_of_shard, shards_of_tier
+from tables.schemas import SPLITS
+from tables.store import table_from_rows
+from tables.vocabulary import Split, SplitScheme
+
+UNIVERSE = {family: family_allocation(family, catalogue_order()) for family in ("mini", "full")}
+TIERS = {tier: [scene_id for shard in shards_of_tier(tier) for scene_id in scenes_of_shard(shard)] for tier in ("mini", "pilot", "full")}
+
+
+def rows_of(tier: str, seed: int = 42) -> dict[str, dict[str, str]]:
+    """Rows of `splits` of a tier by scene."""
+    table = split_table(TIERS[tier], UNIVERSE["mini" if tier == "mini" else "full"], SplitParams(), seed)
+    return {row["scene_id"]: row for row in table.to_pylist()}
+
+
+FULL = rows_of("full")
+ALLOCATION = {allocation.scene_id: allocation for family in UNIVERSE.values() for allocation in family}
+
+catalogues = st.dictionaries(
+    st.text("abcdef", min_size=1, max_size=4),
+    st.tuples(st.sampled_from(["can", "mug", "cuboid", "mesh"]), st.floats(1e-6, 1e-2)),
+    min_size=1,
+    max_size=24,
+)
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> tuple[dict[str, SizedObject], list[SceneAllocation], list[dict[str, str]]]:
+    """A catalogue, scenes of its objects, and any split of them by scene."""
+    sizes = draw(catalogues)
+    indices = draw(st.lists(st.integers(0, 300), unique=True, min_size=1, max_size=40))
+    universe, rows = [], []
+    for index in indices:
+        object_id = draw(st.sampled_from(sorted(sizes)))
+        universe.append(SceneAllocation(f"full-{index:04d}", object_id, sizes[object_id][0], draw(st.integers(0, 2))))
+        rows.append({"scene_id": f"full-{index:04d}", "split": draw(st.sampled_from(list(Split))).value})
+    return sizes, universe, rows
+
+
+@given(scenes(), st.integers(0, 5))
+@settings(max_examples=80)
+def test_every_scheme_keeps_its_promise(
+    drawn: tuple[dict[str, SizedObject], list[SceneAllocation], list[dict[str, str]]], seed: int
+) -> None:
+    sizes, universe, by_scene = drawn
+    rows = scheme_rows(by_scene, universe, sizes, seed)
+    table_from_rows(SPLITS, rows)
+    assert [{"scene_id": row["scene_id"], "split": row["split"]} for row in rows] == by_scene
+    allocation = {a.scene_id: a for a in universe}
+    for row in rows:
+        own = allocation[row["scene_id"]]
+        held_out = {scheme: own.category == category.value for scheme, category in HELD_OUT_CATEGORY.items()}
+        held_out[SplitScheme.LAYOUT] = own.n_obstacles == 2
+        for scheme, is_held_out in held_out.items():
+            assert (row[scheme.column] == "test") == is_held_out, scheme
+            assert (row[scheme.column] == "validation") == (not is_held_out and row["split"] == "validation"), scheme
+    parts: dict[str, set[str]] = {}
+    for row in rows:
+        parts.setdefault(allocation[row["scene_id"]].object_id, set()).add(row["split_object"])
+    assert all(len(found) == 1 for found in parts.values())
+
+
+@given(scenes(), st.randoms(use_true_random=False))
+@settings(max_examples=40)
+def test_order_and_company_of_a_scene_decide_nothing(
+    drawn: tuple[dict[str, SizedObject], list[SceneAllocation], list[dict[str, str]]], random: object
+) -> None:
+    sizes, universe, by_scene = drawn
+    whole = {row["scene_id"]: row for row in scheme_rows(by_scene, universe, sizes, 42)}
+    shuffled, names = list(by_scene), list(sizes)
+    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    random.shuffle(names)  # type: ignore[attr-defined]
+    some = scheme_rows(shuffled[: len(shuffled) // 2], universe[::-1], {name: sizes[name] for name in names}, 42)
+    assert all(whole[row["scene_id"]] == row for row in some)
+
+
+@given(catalogues, st.integers(0, 5))
+@settings(max_examples=80)
+def test_a_size_class_gives_one_object_to_test_and_one_to_validation(sizes: dict[str, SizedObject], seed: int) -> None:
+    part_of, classes = object_parts(sizes, seed), size_classes(sizes)
+    assert sorted(object_id for members in classes.values() for object_id in members) == sorted(part_of) == sorted(sizes)
+    for (category, name), members in classes.items():
+        assert {sizes[object_id][0] for object_id in members} <= {category}
+        counts = Counter(part_of[object_id] for object_id in members)
+        n_held_out = 1 if len(members) >= 3 else 0
+        assert (counts[Split.TEST], counts[Split.VALIDATION]) == (n_held_out, n_held_out)
+        other = classes[category, "larger" if name == "smaller" else "smaller"]
+        assert abs(len(members) - len(other)) <= 1
+        if name == "smaller":
+            assert all(round(sizes[a][1] * 1e9) <= round(sizes[b][1] * 1e9) for a in members for b in other)
+
+
+def test_three_rotations_partition_the_scenes() -> None:
+    for tier in TIERS:
+        for row in rows_of(tier).values():
+            assert [row[scheme.column] for scheme in HELD_OUT_CATEGORY].count("test") == 1
+
+
+def test_the_catalogue_trains_on_eighteen_objects() -> None:
+    sizes = catalogue_sizes()
+    part_of = object_parts(sizes, 42)
+    assert Counter(part_of.values()) == {Split.TRAIN: 18, Split.VALIDATION: 6, Split.TEST: 6}
+    assert Counter((part_of[name], sizes[name][0]) for name in sizes if part_of[name] is not Split.TRAIN) == {
+        (split, category): 2 for split in (Split.VALIDATION, Split.TEST) for category in ("can", "mug", "cuboid")
+    }
+    assert {len(members) for members in size_classes(sizes).values()} == {5}
+
+
+def test_sizes_are_those_of_the_shapes() -> None:
+    """A cuboid by its edges and a can by its diameter and height, of the catalogue file: nothing of the mesh is taken on trust."""
+    for spec in load_catalogue():
+        if isinstance(spec.shape, CuboidShape):
+            assert catalogue_sizes()[spec.object_id][1] == pytest.approx(np.prod(spec.shape.size_m))
+        if isinstance(spec.shape, CanShape):
+            # The mesh has 48 facets with corners on both axes: its box is that of the cylinder.
+            assert catalogue_sizes()[spec.object_id][1] == pytest.approx(spec.shape.diameter_m**2 * spec.shape.height_m)
+
+
+@pytest.mark.parametrize("tier", list(TIERS))
+def test_no_part_of_a_tier_is_empty(tier: str) -> None:
+    assert empty_parts(table_from_rows(SPLITS, rows_of(tier).values())) == []
+
+
+def test_empty_parts_are_named() -> None:
+    some = table_from_rows(SPLITS, [row for row in FULL.values() if ALLOCATION[row["scene_id"]].category == "can"])
+    named = empty_parts(some)
+    assert (SplitScheme.CATEGORY_CAN, Split.TRAIN) in named
+    assert (SplitScheme.CATEGORY_MUG, Split.TEST) in named
+    assert (SplitScheme.SCENE, Split.TEST) not in named
+
+
+def test_a_scene_keeps_its_split_in_every_tier_and_an_object_in_every_family() -> None:
+    assert all(FULL[scene_id] == row for scene_id, row in rows_of("pilot").items())
+    part_of = {ALLOCATION[scene_id].object_id: row["split_object"] for scene_id, row in FULL.items()}
+    assert all(part_of[ALLOCATION[scene_id].object_id] == row["split_object"] for scene_id, row in rows_of("mini").items())
+
+
+@pytest.mark.parametrize("tier", list(TIERS))
+def test_the_paper_s_split_is_what_it_was(tier: str) -> None:
+    universe = [(a.scene_id, a.category, a.n_obstacles) for a in UNIVERSE["mini" if tier == "mini" else "full"]]
+    expected = split_rows(TIERS[tier], universe, SplitParams(), 42)
+    assert [{"scene_id": row["scene_id"], "split": row["split"]} for row in rows_of(tier).values()] == expected
+
+
+def test_shares_leave_enough_to_train_on() -> None:
+    """Of 1,368 scenes: as many as the paper's split under `object`, and more than half wherever a third is held out."""
+    counts = {scheme: Counter(row[scheme.column] for row in FULL.values()) for scheme in SplitScheme}
+    assert counts[SplitScheme.OBJECT]["train"] == pytest.approx(counts[SplitScheme.SCENE]["train"], rel=0.05)
+    for scheme in (*HELD_OUT_CATEGORY, SplitScheme.LAYOUT):
+        assert counts[scheme] == {"train": 736, "validation": 176, "test": 456}
+
+
+def test_released_schemes_never_move() -> None:
+    """The second letters of the splits of all scenes in order, frozen: a change would move data across splits of a published release."""
+    found = {}
+    for scheme in SplitScheme:
+        letters = "".join(row[scheme.column][1] for row in (*FULL.values(), *rows_of("mini").values()))
+        found[scheme.value] = hashlib.sha256(letters.encode()).hexdigest()[:16]
+    assert found == {
+        "scene": "f8aa3f959482f4d4",
+        "object": "7eab137c1c0f5428",
+        "category_can": "412d6dedc014a8d3",
+        "category_mug": "1410087c267f14c9",
+        "category_cuboid": "cb360bf0046de3d1",
+        "layout": "158127b5ca16677f",
+    }
+
+
+def test_a_scene_or_object_that_is_not_known_is_refused() -> None:
+    universe = [SceneAllocation("full-0000", "can_01", "can", 0)]
+    with pytest.raises(SplitError, match="full-0001: has no allocation, must be one of 1 scenes"):
+        scheme_rows([{"scene_id": "full-0001", "split": "train"}], universe, {"can_01": ("can", 1e-3)}, 42)
+    with pytest.raises(SplitError, match="full-0000: object can_01 has no size, must be one of 0 objects"):
+        scheme_rows([{"scene_id": "full-0000", "split": "train"}], universe, {}, 42)
