@@ -44,7 +44,7 @@ def test_the_card_says_which_parts_are_empty(release_tables: dict[str, pa.Table]
     tables = {name: table if "scene_id" not in table.column_names else few(table) for name, table in release_tables.items()}
     of_few = pc.is_in(tables["policy_features"]["candidate_id"], tables["candidates"]["candidate_id"].combine_chunks())
     tables["policy_features"] = tables["policy_features"].filter(of_few)
-    write_release(tables, tmp_path, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+    write_release(tables, tmp_path, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     card = (tmp_path / "README.md").read_text()
     assert "**Empty in this tier: `split_object` test, `split_category_can` validation.** A scene keeps its split" in card
     assert "| `split_category_can` | validation | 0 | 0 | 0 | – | – | – | – |" in card

