@@ -21,7 +21,7 @@ from splits.errors import ReleaseError
 from splits.release_reader import Release
 from tests.assets_def.conftest import Built
 
-SIZES = Sizes(n_grasps=1, n_grasps_elsewhere=1, n_flat=1, n_loads=6, n_executions=2, n_lifts=2, n_second_engine=2)
+SIZES = Sizes(n_grasps=1, n_grasps_elsewhere=1, n_flat=1, n_loads=6, n_executions=2, n_friction=2, n_lifts=2, n_second_engine=2)
 QUIET = Console(quiet=True)
 # Others read the file by these names.
 KEYS = {

@@ -24,15 +24,20 @@ _KEYS = {
 
 
 def flips_study(subject: Subject) -> Study:
-    """The same number of executed candidates of each category, statuses at their natural rates, each under every change and none."""
+    """The same number of executed candidates of each category, statuses at their natural rates, each under every change and none.
+
+    More of them under other friction alone, since the share of flips that go the right way needs flips.
+    """
     strata: dict[tuple[str, str], list[str]] = {}
     for row in subject.executed():
         strata.setdefault((row["category"], row["exec_status"]), []).append(row["candidate_id"])
     stored = {row["candidate_id"]: row["exec_status"] for row in subject.executed()}
-    chosen = choose_mixed(strata, subject.recipe.seed, "validity_executions", subject.sizes.n_executions)
-    cases = [(subject.case(name), stored[name]) for name in chosen]
+    chosen, more = (
+        choose_mixed(strata, subject.recipe.seed, "validity_executions", n) for n in (subject.sizes.n_executions, subject.sizes.n_friction)
+    )
+    changes = dict.fromkeys(more, (Change.NONE, *FRICTION)) | dict.fromkeys(chosen, tuple(Change))
     units = tuple(
-        StudyUnit(f"{case.candidate.candidate_id} {change}", (case, status, change)) for case, status in cases for change in Change
+        StudyUnit(f"{name} {change}", (subject.case(name), stored[name], change)) for name in sorted(changes) for change in changes[name]
     )
     return Study("flips", units, flips_row, flips_summary, unit_ms=160.0)
 

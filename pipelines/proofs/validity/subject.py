@@ -30,6 +30,7 @@ class Sizes:
     n_flat: int = 3
     n_loads: int = 6000  # executed cans and cuboids; all of pilot
     n_executions: int = 300
+    n_friction: int = 600  # executions under other friction: of 300, eight flip, which cannot tell 0.9 of them from 0.8
     n_lifts: int = 150
     n_second_engine: int = 150
 
