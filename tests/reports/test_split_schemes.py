@@ -31,7 +31,7 @@ Command = Callable[[list[str]], int]
 @pytest.fixture(scope="module")
 def folder(release_tables: Tables, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("release")
-    write_release(release_tables, folder, "pilot", "0.1.0", PROVENANCE, **TOLERANCES)
+    write_release(release_tables, folder, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     return folder
 
 

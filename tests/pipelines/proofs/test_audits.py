@@ -101,19 +101,18 @@ def _off_segment(row: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
 
 
 def test_a_free_path_passes_with_the_room_that_it_has() -> None:
-    # The object is let go of lower than the recipe does: from 5 mm on, distances are not told apart.
-    recipe = dataclasses.replace(RECIPE, planning=dataclasses.replace(RECIPE.planning, release_height_m=0.003))
-    s = solved(planning=recipe.planning)
-    (row,) = audit_unit([s.item(Audit.PATH_GEOMETRY, PlanStatus.SOLVED, recipe=recipe)], PARAMS)
+    (row,) = audit_unit([solved().item(Audit.PATH_GEOMETRY, PlanStatus.SOLVED)], PARAMS)
     table_from_rows(AUDITS, [row])
     assert row["agrees"]
     assert row["depth_m"] < 0.0
     # Without obstacles the table is nearest: the object is let go of this high above it.
-    assert row["clearance_m"] == pytest.approx(0.003, abs=1e-5)
+    assert row["clearance_m"] == pytest.approx(RECIPE.planning.release_height_m, abs=1e-5)
     assert row["n_configurations"] > 200
-    (shipped,) = audit_unit([solved().item(Audit.PATH_GEOMETRY, PlanStatus.SOLVED)], PARAMS)
-    assert shipped["agrees"]
-    assert shipped["clearance_m"] == pytest.approx(FAR_M, abs=1e-5)
+    # From 5 mm on, distances are not told apart.
+    recipe = dataclasses.replace(RECIPE, planning=dataclasses.replace(RECIPE.planning, release_height_m=0.008))
+    (higher,) = audit_unit([solved(planning=recipe.planning).item(Audit.PATH_GEOMETRY, PlanStatus.SOLVED, recipe=recipe)], PARAMS)
+    assert higher["agrees"]
+    assert higher["clearance_m"] == pytest.approx(FAR_M, abs=1e-5)
 
 
 @pytest.mark.parametrize("depth_m", [0.0005, 0.002, 0.006])

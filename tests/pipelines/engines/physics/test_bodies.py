@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -22,8 +23,11 @@ def test_shrunk_hull_padded_again_has_the_size_of_the_part(seed: int, n: int, si
     shrunk = shrunk_hull(points, HULL_MARGIN_M).vertices_m
     planes = ConvexHull(points).equations
     heights = shrunk @ planes[:, :3].T + planes[:, 3]
-    # No vertex is nearer to any face than the padding, and some vertex is exactly that near to some face (1 nm: rounded planes).
-    assert heights.max() == pytest.approx(-HULL_MARGIN_M, abs=1e-8)
+    # The largest ball inside: its centre is at least its radius below every face.
+    ball = linprog([0, 0, 0, -1], A_ub=np.c_[planes[:, :3], np.ones(len(planes))], b_ub=-planes[:, 3], bounds=[(None, None)] * 4)
+    # No vertex is nearer to any face than the padding (half of the ball's radius in a sliver), and some vertex is exactly that near to
+    # some face (1 nm: rounded planes).
+    assert heights.max() == pytest.approx(-min(HULL_MARGIN_M, ball.x[3] / 2), abs=1e-8)
 
 
 def test_a_plate_thinner_than_the_padding_keeps_an_inside() -> None:
