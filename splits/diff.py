@@ -162,7 +162,7 @@ def diff_releases(a: Path, b: Path) -> ReleaseDiff:
     """
     sides = _side("A", a), _side("B", b)
     names = dict.fromkeys(name for side in sides for name in side.facts)
-    pairs = [(name, *(side.facts.get(name) for side in sides)) for name in names]
+    pairs = [(name, sides[0].facts.get(name), sides[1].facts.get(name)) for name in names]
     tables = sorted(sides[0].tables.keys() | sides[1].tables.keys())
     return ReleaseDiff(
         str(a),

@@ -75,7 +75,9 @@ def compare_tables(name: str, a: pa.Table, b: pa.Table) -> RowDiff:
         added.height,
         removed.height,
         changed.height,
-        *(_first(frame, key) for frame in (added, removed, changed)),
+        _first(added, key),
+        _first(removed, key),
+        _first(changed, key),
         tuple(column for column in columns if column.rows),
         tuple(column for column in types_b if column not in types_a),
         tuple(column for column in types_a if column not in types_b),
@@ -98,7 +100,8 @@ def _column_change(table: str, changed: pl.DataFrame, column: str) -> ColumnChan
     own = changed.select(pl.col(column), pl.col(column + _B)).filter(pl.col(column).ne_missing(pl.col(column + _B)))
     # Of another schema a column may be unknown to this code.
     known = next((known for known in ALL_SCHEMAS[table].columns if known.name == column), None)
-    dtype, largest, flips = own.schema[column], None, ()
+    dtype, largest = own.schema[column], None
+    flips: tuple[tuple[str, str, int], ...] = ()
     if isinstance(dtype, pl.List) and dtype.inner.is_float():
         largest = _largest(own.filter(pl.col(column).list.len() == pl.col(column + _B).list.len()).explode(column, column + _B))
     elif dtype.is_float():
