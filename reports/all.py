@@ -52,7 +52,7 @@ def render_all(sources: Sources, out: Path, log: Callable[[str], Any] = print) -
             log(f"{kind.name}: FAILED, {' '.join(f'{type(error).__name__}: {error}'.split())}")
             continue
         outcomes["made"].append(kind.name)
-        without = [what for what in _missing(sources, kind.shows)]
+        without = _missing(sources, kind.shows)
         log("; ".join([f"{kind.name}: {path}, {time.perf_counter() - start:.1f} s", *without]))
     return Rendered(*(tuple(names) for names in outcomes.values()))
 

@@ -146,10 +146,10 @@ def test_a_light_release_is_compared_by_its_hashes(release: Path, release_tables
 
 def test_columns_of_another_schema_are_named(release: Path, release_tables: dict[str, pa.Table]) -> None:
     splits = release_tables["splits"]
-    wider = splits.append_column("split_object", splits["split"])
+    wider = splits.append_column("split_weather", splits["split"])
     other = splits.set_column(0, "scene_id", splits["scene_id"].cast(pa.string()))
-    assert compare_tables("splits", splits, wider).new_columns == ("split_object",)
-    assert compare_tables("splits", wider, splits).lost_columns == ("split_object",)
+    assert compare_tables("splits", splits, wider).new_columns == ("split_weather",)
+    assert compare_tables("splits", wider, splits).lost_columns == ("split_weather",)
     retyped = compare_tables("splits", splits, other)
     assert [text.partition(":")[0] for text in retyped.retyped_columns] == ["scene_id"]
     assert (retyped.added, retyped.removed, retyped.changed) == (0, 0, 0)
