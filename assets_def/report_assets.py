@@ -13,28 +13,20 @@ from assets_def.inputs import release_hashes, shard_hashes, source_version, tier
 from assets_def.metadata import inline_figure
 from assets_def.partitions import shards_to_tiers, tier_partitions
 from assets_def.products import FilesProduct, Record
-from assets_def.proof_assets import VALUE_TABLES
 from assets_def.resources import Benchmark
 from assets_def.steps import Step
-from assets_def.trees_assets import TREE_PREDICTIONS, TREES_SEED
-from reports.ablation import ablation_report
-from reports.audit import audit_report
-from reports.gallery import gallery_report
-from reports.load import load_release
-from reports.profile import profile_report
-from reports.repeatability import repeatability_report
+from assets_def.trees_assets import TREE_PREDICTIONS
+from reports.kinds import KINDS, N_FILMS
 from reports.report import Report
 from reports.shard_diagnostics import SHARD_TABLES, shard_diagnostics_report
-from reports.success_at_k import success_at_k_report
-from reports.trees_probe import trees_probe_report
+from reports.sources import Sources
+from splits.release_reader import Release
 from tables.identity import shards_of_tier
-from tables.schemas import ALL_SCHEMAS, ATTEMPTS, AUDITS, PREDICTIONS, TIMINGS
-from tables.store import read_table, read_tables
+from tables.schemas import ALL_SCHEMAS
+from tables.store import read_tables
 
 # Any change of a report's wording, numbers or pictures makes it anew.
 REPORT_CODE_VERSION = source_version("reports", "pipelines/pictures", "splits/markdown.py")
-# Filmstrips an execution status.
-N_FILMS = {"mini": 1, "pilot": 3, "full": 3}
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,49 +79,25 @@ class ReportKind:
         return [markdown, directory / f"{self.name}.json", *(directory / f"{stem}.png" for stem in report.figures)], {}
 
 
-def _success_at_k(benchmark: Benchmark, tier: str) -> Report:
-    predictions = read_table(PREDICTIONS, benchmark.root.tier_table(tier, "predictions"))
-    times = read_table(TIMINGS, benchmark.root.tier_table(tier, "decision_times"))
-    tables = load_release(benchmark.root.release(tier))
-    return success_at_k_report(tables, predictions, times, tier=tier, seed=benchmark.recipe_of_tier(tier).seed)
+def _made(name: str) -> Callable[[Benchmark, str], Report]:
+    """A report as `make reports` renders it, from the release and the tables of the tier."""
 
+    def make(benchmark: Benchmark, tier: str) -> Report:
+        release, beside = Release.open(benchmark.root.release(tier)), benchmark.root.tier_table(tier, name).parent
+        return KINDS[name].make(Sources(release, beside, Path(benchmark.recipe_path)))
 
-def _ablation(benchmark: Benchmark, tier: str) -> Report:
-    predictions = read_table(PREDICTIONS, benchmark.root.tier_table(tier, "predictions"))
-    return ablation_report(load_release(benchmark.root.release(tier)), predictions, tier=tier, seed=benchmark.recipe_of_tier(tier).seed)
-
-
-def _repeatability(benchmark: Benchmark, tier: str) -> Report:
-    repeated = read_table(ATTEMPTS, benchmark.root.tier_table(tier, "attempts"))
-    return repeatability_report(repeated, load_release(benchmark.root.release(tier), ["candidates"])["candidates"], tier=tier)
-
-
-def _audit(benchmark: Benchmark, tier: str) -> Report:
-    audited = read_table(AUDITS, benchmark.root.tier_table(tier, "audits"))
-    return audit_report(audited, load_release(benchmark.root.release(tier), ["candidates"])["candidates"], tier=tier)
-
-
-def _profile(benchmark: Benchmark, tier: str) -> Report:
-    return profile_report(load_release(benchmark.root.release(tier)), tier=tier, seed=benchmark.recipe_of_tier(tier).seed)
-
-
-def _gallery(benchmark: Benchmark, tier: str) -> Report:
-    tables = load_release(benchmark.root.release(tier), VALUE_TABLES)
-    return gallery_report(tables, benchmark.recipe_of_tier(tier), tier=tier, n_films=N_FILMS[tier])
+    return make
 
 
 def _shard_diagnostics(benchmark: Benchmark, tier: str) -> Report:
+    """From the shards, because it is looked at before there is a release."""
     paths = {name: [benchmark.root.shard_table(shard, name) for shard in shards_of_tier(tier)] for name in SHARD_TABLES}
     return shard_diagnostics_report({name: read_tables(ALL_SCHEMAS[name], paths[name]) for name in SHARD_TABLES}, tier=tier)
 
 
-def _trees_probe(benchmark: Benchmark, tier: str) -> Report:
-    predictions = read_table(PREDICTIONS, benchmark.root.tier_table(tier, TREE_PREDICTIONS))
-    tables = load_release(benchmark.root.release(tier))
-    return trees_probe_report(tables, predictions, split="test", seed=TREES_SEED, title=f"Trees on {tier}, train split to test split")
-
-
-PROFILE = ReportKind("profile", "Counts, statuses, coverage and the ladder of policies that learn nothing.", _profile, reads_timings=True)
+PROFILE = ReportKind(
+    "profile", "Counts, statuses, coverage and the ladder of policies that learn nothing.", _made("profile"), reads_timings=True
+)
 REPORTS = (
     ReportKind(
         "shard_diagnostics",
@@ -138,21 +106,21 @@ REPORTS = (
         shard_tables=SHARD_TABLES,
     ),
     PROFILE,
-    ReportKind("gallery", "Contact sheets: scenes, grasps, filmstrips of every outcome.", _gallery, parameters=N_FILMS),
-    ReportKind("repeatability", "How often a label comes out the same again.", _repeatability, ("attempts",)),
-    ReportKind("audit", "What the audits of the planning labels found.", _audit, ("audits",)),
+    ReportKind("gallery", "Contact sheets: scenes, grasps, filmstrips of every outcome.", _made("gallery"), parameters=N_FILMS),
+    ReportKind("repeatability", "How often a label comes out the same again.", _made("repeatability"), ("attempts",)),
+    ReportKind("audit", "What the audits of the planning labels found.", _made("audit"), ("audits",)),
     ReportKind(
         "success_at_k",
         "S_K of six policies on both tasks, the paper beside ours.",
-        _success_at_k,
+        _made("success_at_k"),
         ("predictions", "decision_times"),
         reads_timings=True,
     ),
-    ReportKind("ablation", "The ranker and three ablations on the validation split.", _ablation, ("predictions",)),
+    ReportKind("ablation", "The ranker and three ablations on the validation split.", _made("ablation"), ("predictions",)),
     ReportKind(
         "trees_probe",
         "How far trees on derived geometry rank, beside the policies that learn nothing.",
-        _trees_probe,
+        _made("trees_probe"),
         (TREE_PREDICTIONS,),
     ),
 )

@@ -48,14 +48,15 @@ class _Tile:
     caption: str
 
 
-def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe, *, tier: str, n_films: int) -> Report:
+def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe | None, *, tier: str, n_films: int, why_no_films: str = "") -> Report:
     """Report `gallery`: what a release looks like.
 
     Args:
         tables: a release with `objects`, `object_meshes`, `object_parts`, `stable_poses`, `grasp_pool`, `scenes`, `obstacles`, `targets`,
-            `grasps`, `candidates` and `plans`.
-        recipe: what the labels were made with; films run each execution again.
+            `grasps`, `candidates`, and `plans` for films.
+        recipe: what the labels were made with; films run each execution again. None for no films.
         n_films: filmstrips of each execution status, chosen by the hash of the candidate id.
+        why_no_films: said where there is no recipe.
     """
     release = Decoded(tables)
     object_models, scenes, grasps = release.object_models, release.scenes, release.grasp_rows
@@ -77,7 +78,9 @@ def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe, *, tier: str,
         f"## Lifted grasps\n\nUp to {_N_GRASPS_DRAWN} of the grasps that passed the pick-lift check, at the object's initial pose.",
         "![Grasps](gallery-grasps.png)",
     ]
-    for status, strips in _films(tables, release, recipe, n_films).items():
+    if recipe is None:
+        blocks.append(f"## Executions\n\nNo films: {why_no_films}.")
+    for status, strips in _films(tables, release, recipe, n_films).items() if recipe is not None else ():
         figures[f"gallery-{status}"] = _sheet(strips, _N_FRAMES)
         blocks += [f"## Executions that ended as {status.replace('_', ' ')}", f"![{status}](gallery-{status}.png)"]
     return Report("gallery", "\n\n".join(blocks) + "\n", figures)

@@ -122,8 +122,7 @@ def read_manifest(directory: Path) -> Manifest:
     """
     text = _text_of(directory)
     try:
-        content = _parsed(text)
-        _check_own_hash(content)
+        content = _signed(text)
         check_versions(content.get("schema_version"), content.get("version"))
         manifest = _manifest_of(content)
     except ReleaseError as error:
@@ -133,6 +132,25 @@ def read_manifest(directory: Path) -> Manifest:
     if manifest.to_text() != text:
         raise ReleaseError(f"{MANIFEST}: other white space, order or escapes than were written, must be the same byte for byte")
     return manifest
+
+
+def read_manifest_fields(directory: Path) -> dict[str, Any]:
+    """The fields of a manifest of any version that is not of a newer major, held against its own hash and nothing else.
+
+    For whoever compares releases of several versions; `read_manifest` also knows that every field is there and what it may be.
+
+    Raises:
+        ReleaseError: no folder, no manifest, a manifest that was changed, or one of a newer major version.
+    """
+    text = _text_of(directory)
+    try:
+        content = _signed(text)
+        check_major_versions(content.get("schema_version"), content.get("version"))
+    except ReleaseError as error:
+        raise ReleaseError(f"{MANIFEST}: {error}") from error
+    except RecursionError as error:
+        raise ReleaseError(f"{MANIFEST}: cannot be read as a manifest: nested too deeply") from error
+    return content
 
 
 def content_sha256(content: Mapping[str, Any]) -> str:
@@ -171,11 +189,16 @@ def check_tier(tier: object) -> None:
 
 def check_versions(schema_version: object, version: object) -> None:
     """Raise ReleaseError where a version is malformed, of a newer major than this code knows, or of another schema than it reads."""
+    check_major_versions(schema_version, version)
+    if schema_version != SCHEMA_VERSION:
+        raise ReleaseError(f"schema_version {schema_version}, this code reads {SCHEMA_VERSION} only")
+
+
+def check_major_versions(schema_version: object, version: object) -> None:
+    """Raise ReleaseError where a version is malformed or of a newer major than this code knows."""
     for name, found, known in (("schema_version", schema_version, SCHEMA_VERSION), ("version", version, DATA_VERSION)):
         if check_version(name, found)[0] > check_version(name, known)[0]:
             raise ReleaseError(f"{name} {found} is of a newer major version than this code knows ({known}): use a newer PlaceBench")
-    if schema_version != SCHEMA_VERSION:
-        raise ReleaseError(f"schema_version {schema_version}, this code reads {SCHEMA_VERSION} only")
 
 
 def _text_of(directory: Path) -> str:
@@ -192,6 +215,13 @@ def _text_of(directory: Path) -> str:
         raise ReleaseError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise ReleaseError(f"{path}: not UTF-8: byte {error.start} is 0x{error.object[error.start]:02x}") from error
+
+
+def _signed(text: str) -> dict[str, Any]:
+    """The fields of a manifest that has the hash it states."""
+    content = _parsed(text)
+    _check_own_hash(content)
+    return content
 
 
 def _parsed(text: str) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 python -m splits.release verify DIR [--light]
 python -m splits.release light WHOLE LIGHT
+python -m splits.release diff A B
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from splits.diff_text import EXIT_STATUS, print_diff
 from splits.errors import ReleaseError
 from splits.leakage import find_leaks
 from splits.manifest import (
@@ -235,7 +237,7 @@ def _listed(directory: Path, files: Sequence[str]) -> dict[str, FileEntry]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line: 0 where the release is sound or was copied, 1 where it is not sound."""
+    """Command line: 0 where the release is sound or was copied, 1 where it is not sound; of `diff` see `diff_text.EXIT_STATUS`."""
     parser = argparse.ArgumentParser(prog="python -m splits.release", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     verify = commands.add_parser("verify", help="check a release folder")
@@ -244,7 +246,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     light = commands.add_parser("light", help=f"copy a release without its heavy tables: {', '.join(HEAVY_TABLES)}")
     light.add_argument("whole", type=Path, help="the release folder")
     light.add_argument("directory", type=Path, help="the folder of the light one")
+    diff = commands.add_parser("diff", help="say what changed from one release to another, whole or light", epilog=EXIT_STATUS)
+    diff.add_argument("a", type=Path, help="the release folder of before")
+    diff.add_argument("b", type=Path, help="the one of after")
     chosen = parser.parse_args(arguments)
+    if chosen.command == "diff":
+        return print_diff(chosen.a, chosen.b)
     try:
         if chosen.command == "light":
             make_light(chosen.whole, chosen.directory)

@@ -15,7 +15,7 @@ from tables.store import read_table
 
 @dataclass(frozen=True, slots=True)
 class DataRoot:
-    """`objects/`, `shards/<shard>/`, `tiers/<tier>/`, `release/<tier>/` and `checkpoints/` below one folder."""
+    """`objects/`, `shards/<shard>/`, `tiers/<tier>/`, `release/<tier>/`, `predictions/<tier>/` and `checkpoints/` below one folder."""
 
     path: Path
 
@@ -41,6 +41,10 @@ class DataRoot:
 
     def release(self, tier: str) -> Path:
         return self.path / "release" / tier
+
+    def predictions(self, tier: str) -> Path:
+        """Folder of the tables about a release that are shipped beside it, named as those of the tier."""
+        return self.path / "predictions" / tier
 
     def validity(self, tier: str) -> Path:
         """Folder of the rows that `make validity` keeps, a file a study."""

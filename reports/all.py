@@ -1,0 +1,87 @@
+"""Every report of a release that can be rendered without labelling or training anything: `make reports TIER=full`.
+
+`python -m reports.all RELEASE [--predictions DIR] [--out DIR]`
+
+Read are the release, whole or light, and the folder of tables that were made about it, by default `data/predictions/TIER` beside
+`data/release/TIER`, or `data/tiers/TIER` where a build left them: predictions.parquet, decision_times.parquet, tree_predictions.parquet,
+audits.parquet, and attempts.parquet where the release holds none. A report that lacks a table is left out and the file is named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from reports.kinds import KINDS
+from reports.sources import Sources, folder_beside
+from splits.release_reader import Release
+from tables.errors import PlaceBenchError
+
+
+@dataclass(frozen=True, slots=True)
+class Rendered:
+    """Names of the reports by what became of them."""
+
+    made: tuple[str, ...]
+    left_out: tuple[str, ...]
+    failed: tuple[str, ...]
+
+
+def render_all(sources: Sources, out: Path, log: Callable[[str], Any] = print) -> Rendered:
+    """Write every report that the sources give into a folder; one that fails does not keep the others from being made.
+
+    Args:
+        log: told what becomes of each report, one line a report, and which file one lacks.
+    """
+    outcomes: dict[str, list[str]] = {"made": [], "left_out": [], "failed": []}
+    for kind in KINDS.values():
+        start, missing = time.perf_counter(), _missing(sources, kind.reads)
+        if missing:
+            outcomes["left_out"].append(kind.name)
+            log(f"{kind.name}: left out, {'; '.join(missing)}")
+            continue
+        try:
+            path = kind.make(sources).write(out)
+        except (PlaceBenchError, OSError) as error:
+            outcomes["failed"].append(kind.name)
+            log(f"{kind.name}: FAILED, {' '.join(f'{type(error).__name__}: {error}'.split())}")
+            continue
+        outcomes["made"].append(kind.name)
+        without = _missing(sources, kind.shows)
+        log("; ".join([f"{kind.name}: {path}, {time.perf_counter() - start:.1f} s", *without]))
+    return Rendered(*(tuple(names) for names in outcomes.values()))
+
+
+def _missing(sources: Sources, names: Sequence[str]) -> list[str]:
+    there = sources.there(names)
+    return [sources.missing(name) for name in names if name not in there]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line: 0 where every report was made or lacks a table, 1 where one failed or there is no release."""
+    about, _, more = (__doc__ or "").partition("\n")
+    parser = argparse.ArgumentParser(prog="python -m reports.all", description=about, epilog=more.rpartition("\n\n")[2])
+    parser.add_argument("release", type=Path, help="folder of a release")
+    parser.add_argument("--predictions", type=Path, metavar="DIR", help="folder of the tables about it")
+    parser.add_argument("--out", type=Path, help="folder for the reports (reports/out/TIER)")
+    chosen = parser.parse_args(arguments)
+    try:
+        release = Release.open(chosen.release)
+    except PlaceBenchError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    tier = release.manifest.tier
+    out = chosen.out or Path("reports/out") / tier
+    rendered = render_all(Sources(release, chosen.predictions or folder_beside(chosen.release, tier)), out)
+    rest = [f"{name.replace('_', ' ')}: {', '.join(names)}" for name in ("left_out", "failed") if (names := getattr(rendered, name))]
+    print("; ".join([f"{len(rendered.made)} of {len(KINDS)} reports in {out}", *rest]))
+    return 1 if rendered.failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,105 @@
+"""The reports of a release: what each reads, what it also shows where that is there, and how it is made. What one says is in its module."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from reports.ablation import ablation_report
+from reports.audit import audit_report
+from reports.gallery import gallery_report
+from reports.policies import prediction_seeds
+from reports.profile import profile_report
+from reports.repeatability import repeatability_report
+from reports.report import Report, ReportError
+from reports.shard_diagnostics import shard_diagnostics_report
+from reports.sources import Sources
+from reports.success_at_k import DESIGNATED_SEED, success_at_k_report
+from reports.trees_probe import trees_probe_report
+from splits.release_laws import stage_tables
+from tables.schemas import OBJECT_TABLES
+
+# Filmstrips an execution status.
+N_FILMS = {"mini": 1, "pilot": 3, "full": 3}
+
+_RANKED = ("candidates", "splits", "scenes", "targets", "policy_features")
+_PICTURED = (*OBJECT_TABLES, "scenes", "obstacles", "targets", "grasps", "candidates")
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """One report.
+
+    Attributes:
+        reads: tables without which there is no report.
+        shows: tables without which the report says what it lacks.
+    """
+
+    name: str
+    reads: tuple[str, ...]
+    make: Callable[[Sources], Report]
+    shows: tuple[str, ...] = ()
+
+
+def _shard_diagnostics(sources: Sources) -> Report:
+    joined = sources.tables(("candidates", "grasps"))
+    return shard_diagnostics_report({**sources.tables(("scenes", "targets")), **stage_tables(joined)}, tier=sources.tier)
+
+
+def _profile(sources: Sources) -> Report:
+    tables = sources.tables((*_RANKED, "grasps", *sources.there(["timings"])))
+    return profile_report(tables, tier=sources.tier, seed=sources.seed)
+
+
+def _gallery(sources: Sources) -> Report:
+    """With films where there are plans and this code has the recipe that they were made with: a film runs a plan again."""
+    tables, recipe, why_not = sources.tables((*_PICTURED, *sources.there(["plans"]))), None, ""
+    if "plans" not in tables:
+        why_not = "table `plans` is left out of this release; `make plans` makes it again"
+    else:
+        try:
+            recipe = sources.recipe()
+        except ReportError as error:
+            why_not = str(error)
+    return gallery_report(tables, recipe, tier=sources.tier, n_films=N_FILMS[sources.tier], why_no_films=why_not)
+
+
+def _repeatability(sources: Sources) -> Report:
+    return repeatability_report(sources.table("attempts"), sources.table("candidates"), tier=sources.tier)
+
+
+def _audit(sources: Sources) -> Report:
+    return audit_report(sources.table("audits"), sources.table("candidates"), tier=sources.tier)
+
+
+def _success_at_k(sources: Sources) -> Report:
+    tables = sources.tables((*_RANKED, *sources.there(["timings"])))
+    about = sources.tables(sources.there(["predictions", "decision_times"]))
+    return success_at_k_report(tables, about.get("predictions"), about.get("decision_times"), tier=sources.tier, seed=sources.seed)
+
+
+def _ablation(sources: Sources) -> Report:
+    return ablation_report(sources.tables(_RANKED), sources.table("predictions"), tier=sources.tier, seed=sources.seed)
+
+
+def _trees_probe(sources: Sources) -> Report:
+    predictions = sources.table("tree_predictions")
+    seeds = prediction_seeds(predictions, "trees")
+    seed = DESIGNATED_SEED if DESIGNATED_SEED in seeds else min(seeds, default=DESIGNATED_SEED)
+    title = f"Trees on {sources.tier}, train split to test split"
+    return trees_probe_report(sources.tables(_RANKED), predictions, split="test", seed=seed, title=title)
+
+
+KINDS = {
+    kind.name: kind
+    for kind in (
+        Kind("shard_diagnostics", ("scenes", "targets", "candidates", "grasps"), _shard_diagnostics),
+        Kind("profile", (*_RANKED, "grasps"), _profile, ("timings",)),
+        Kind("gallery", _PICTURED, _gallery, ("plans",)),
+        Kind("repeatability", ("candidates", "attempts"), _repeatability),
+        Kind("audit", ("candidates", "audits"), _audit),
+        Kind("success_at_k", _RANKED, _success_at_k, ("predictions", "decision_times", "timings")),
+        Kind("ablation", (*_RANKED, "predictions"), _ablation),
+        Kind("trees_probe", (*_RANKED, "tree_predictions"), _trees_probe),
+    )
+}

@@ -1,0 +1,136 @@
+"""`make reports` on a small release: what it can make it makes, what it cannot it names with the file that is missing."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+
+from reports.all import main
+from reports.kinds import KINDS
+from reports.sources import BESIDE, Sources
+from reports.success_at_k import success_at_k_report
+from splits.manifest import read_manifest
+from splits.release import make_light, write_release
+from splits.release_reader import Release
+from tables import schemas
+from tables.store import table_from_columns, table_from_rows, write_table
+from tests.model.synthetic_release import TOLERANCES
+from tests.splits.damage import PROVENANCE
+
+# The synthetic release has no meshes to draw.
+MADE = tuple(name for name in KINDS if name != "gallery")
+
+
+def about(release_tables: dict[str, pa.Table], predictions: pa.Table) -> dict[str, pa.Table]:
+    """The tables about the release by the names of their files."""
+    rows = predictions.to_pylist()
+    trees = [
+        row | {"variant": {"full": "trees", "direct": "trees_poses"}[row["variant"]]}
+        for row in rows
+        if row["variant"] in ("full", "direct")
+    ]
+    first = release_tables["candidates"].to_pylist()[:40]
+    labels = ("candidate_id", "plan_status", "exec_status", "final_position_error_m", "final_rotation_error_rad")
+    same = {"perturbation": "fresh_process", "repeat": 0, "plan_matches": True, "exec_matches": True, "is_identical": True}
+    audited = {"depth_m": None, "deepest_pair": None, "clearance_m": None, "n_configurations": 1, "agrees": True, "audit": "rejection"}
+    statuses = [(row["candidate_id"], row["plan_status"]) for row in first if not row["y_plan"]]
+    audits = [{"candidate_id": name, "stored_status": status, "audited_status": status, **audited} for name, status in statuses]
+    groups = [row["scene_id"] for row in release_tables["splits"].to_pylist() if row["split"] == "test"]
+    times = {"stage": ["ranker"] * len(groups), "item_id": groups, "core_ms": [1.0] * len(groups)}
+    return {
+        "predictions": predictions,
+        "decision_times": table_from_columns(schemas.TIMINGS, times),
+        "tree_predictions": table_from_rows(schemas.PREDICTIONS, trees),
+        "attempts": table_from_rows(schemas.ATTEMPTS, [{name: row[name] for name in labels} | same for row in first]),
+        "audits": table_from_rows(schemas.AUDITS, audits),
+    }
+
+
+@pytest.fixture(scope="module")
+def data(release_tables: dict[str, pa.Table], predictions: pa.Table, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data folder with the release and all that is shipped beside it; tests that change it copy it first."""
+    root = tmp_path_factory.mktemp("data")
+    whole = write_release(release_tables, root / "release" / "full", "full", "0.1.0", PROVENANCE, TOLERANCES)
+    for name, table in about(release_tables, predictions).items():
+        path = root / "predictions" / "full" / f"{name}.parquet"
+        write_table(BESIDE[name], table, path, {"release": whole.release_hash}, of="full")
+    return root
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_every_report_is_made_twice_the_same(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(data / "release" / "full"), "--out", str(tmp_path / "one")]) == 0
+    out = capsys.readouterr().out
+    lines = {line.partition(":")[0]: line for line in out.splitlines()}
+    assert [name for name in KINDS if "left out" in lines[name]] == ["gallery"], "the synthetic release has no meshes"
+    assert f"{data}/release/full/object_meshes.parquet is missing: the release has no such table" in lines["gallery"]
+    assert {path.stem for path in (tmp_path / "one").glob("*.md")} == set(MADE)
+    assert lines["7 of 8 reports in " + str(tmp_path / "one") + "; left out"].endswith(": gallery")
+    moved = tmp_path / "elsewhere"
+    shutil.copytree(data / "predictions" / "full", moved)
+    assert main([str(data / "release" / "full"), "--predictions", str(moved), "--out", str(tmp_path / "two")]) == 0
+    assert files(tmp_path / "one") == files(tmp_path / "two")
+
+
+def test_a_report_is_the_one_of_its_module(data: Path, release_tables: dict[str, pa.Table], predictions: pa.Table) -> None:
+    sources = Sources(Release.open(data / "release" / "full"), data / "predictions" / "full")
+    times = sources.table("decision_times")
+    expected = success_at_k_report(release_tables, predictions, times, tier="full", seed=42)
+    made = KINDS["success_at_k"].make(sources)
+    assert (made.markdown, dict(made.metrics)) == (expected.markdown, dict(expected.metrics))
+    assert made.metrics["test.joint.ranker.decision_ms"] == 1.0
+
+
+def test_a_light_release_without_predictions_says_what_it_lacks(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    light, out_dir = tmp_path / "data" / "release" / "full-light", tmp_path / "out"
+    make_light(data / "release" / "full", light)
+    assert main([str(light), "--out", str(out_dir)]) == 0
+    lines = {line.partition(":")[0]: line for line in capsys.readouterr().out.splitlines()}
+    folder = tmp_path / "data" / "predictions" / "full"
+    for name, file in (
+        ("repeatability", "attempts"),
+        ("audit", "audits"),
+        ("ablation", "predictions"),
+        ("trees_probe", "tree_predictions"),
+    ):
+        assert lines[name] == f"{name}: left out, {folder / f'{file}.parquet'} is missing"
+    assert f"{light / 'timings.parquet'} is missing" in lines["profile"]
+    assert f"{folder / 'predictions.parquet'} is missing" in lines["success_at_k"]
+    assert {path.stem for path in out_dir.glob("*.md")} == {"shard_diagnostics", "profile", "success_at_k"}
+    assert "Not measured." in (out_dir / "profile.md").read_text()
+    text = (out_dir / "success_at_k.md").read_text()
+    assert "No ranker was scored" in text
+    assert "not measured" in text
+
+
+def test_tables_about_another_release_and_damaged_ones_fail_alone(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "about"
+    shutil.copytree(data / "predictions" / "full", folder)
+    path = folder / "audits.parquet"
+    path.write_bytes(path.read_bytes() + b"?")
+    sources = Sources(Release.open(data / "release" / "full"), folder)
+    write_table(
+        schemas.PREDICTIONS, sources.table("tree_predictions"), folder / "tree_predictions.parquet", {"release": "0" * 64}, of="full"
+    )
+    assert main([str(data / "release" / "full"), "--predictions", str(folder), "--out", str(tmp_path / "out")]) == 1
+    out = capsys.readouterr().out
+    lines = {line.partition(":")[0]: line for line in out.splitlines()}
+    about_this = read_manifest(data / "release" / "full").release_hash[:12]
+    assert (
+        f"FAILED, ReportError: {folder / 'tree_predictions.parquet'}: about release {'0' * 12}, must be about {about_this}"
+        in lines["trees_probe"]
+    )
+    assert "FAILED, StoreError" in lines["audit"]
+    assert out.splitlines()[-1].endswith("left out: gallery; failed: audit, trees_probe")
+    assert {path.stem for path in (tmp_path / "out").glob("*.md")} == set(MADE) - {"audit", "trees_probe"}
+
+
+def test_no_release_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(tmp_path / "nothing")]) == 1
+    assert capsys.readouterr().err == f"error: {tmp_path / 'nothing'}: no such folder\n"
