@@ -27,7 +27,8 @@ _DEFINITIONS = (
     " itself where pads touch opposite ends of an object held askew. No engine is asked. Outcomes and slip are the stored ones.",
     "*Outcome* of the cuboids is the stored success, so that failures of release and landing count against theory, which knows nothing of"
     " them; beside it stands the outcome that theory speaks of, held to the release.",
-    "*Lost* is the stored status `dropped_in_transport`. *Faults* are admitted grasps without a lift and plans without an execution in the"
+    "*Lost* is the stored status `dropped_in_transport`, or a slip beyond the bound of the verdict, however it ended. *Faults* are admitted"
+    " grasps without a lift and plans without an execution in the"
     " release, and runs of these studies for which the engine warned or gave a state that is not finite. A stage whose engine gives up"
     " publishes nothing, so the first two can be found in a release that was tampered with only.",
 )

@@ -36,9 +36,8 @@ def flips_study(subject: Subject) -> Study:
         choose_mixed(strata, subject.recipe.seed, "validity_executions", n) for n in (subject.sizes.n_executions, subject.sizes.n_friction)
     )
     changes = dict.fromkeys(more, (Change.NONE, *FRICTION)) | dict.fromkeys(chosen, tuple(Change))
-    units = tuple(
-        StudyUnit(f"{name} {change}", (subject.case(name), stored[name], change)) for name in sorted(changes) for change in changes[name]
-    )
+    cases = {name: subject.case(name) for name in sorted(changes)}
+    units = tuple(StudyUnit(f"{name} {change}", (case, stored[name], change)) for name, case in cases.items() for change in changes[name])
     return Study("flips", units, flips_row, flips_summary, unit_ms=160.0)
 
 
