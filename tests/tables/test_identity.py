@@ -44,7 +44,7 @@ def test_strange_candidate_ids_are_refused(text: str) -> None:
 
 def test_shards_partition_the_family() -> None:
     scenes = [scene_id for shard in shards_of_tier("full") for scene_id in scenes_of_shard(shard)]
-    assert len(scenes) == len(set(scenes)) == n_scenes_of("full") == 1368
+    assert len(scenes) == len(set(scenes)) == n_scenes_of("full") == 1235
     assert all(shard_of_scene(scene_id) == shard for shard in shards_of_tier("full") for scene_id in scenes_of_shard(shard))
     assert scenes_of_shard("mini-000") == tuple(scene_id_of("mini", k) for k in range(12))
 

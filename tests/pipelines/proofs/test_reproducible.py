@@ -130,4 +130,4 @@ def test_ids_that_do_not_exist_are_refused(capsys: pytest.CaptureFixture[str]) -
     with pytest.raises(IdentityError, match="is not a scene id"):
         regenerate("pilot-0001", DataRoot(Path("nowhere")))
     assert main(["full-9999"]) == 1
-    assert "must be in [0, 1368)" in capsys.readouterr().err
+    assert "must be in [0, 1235)" in capsys.readouterr().err
