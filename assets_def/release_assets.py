@@ -46,7 +46,7 @@ from tables.store import file_sha256, read_table, read_tables
 
 RELEASE_CODE_VERSION = "1"  # of the joined tables
 SPLITS_CODE_VERSION = "2"
-FOLDER_CODE_VERSION = "4"  # of what stands around the tables in a release folder
+FOLDER_CODE_VERSION = "5"  # of what stands around the tables in a release folder
 
 # Released as they are; `candidates` and `grasps` replace the four tables they are joined from.
 _SHARD_TABLES = ("scenes", "scene_attempts", "obstacles", "targets", "scene_points", "plans", "policy_features")

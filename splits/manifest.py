@@ -18,7 +18,8 @@ from typing import Any, cast
 from splits.errors import ReleaseError, shown
 from splits.fields import check_count, check_equal, check_sha256, check_texts, check_version
 from tables.identity import IdentityError, shards_of_tier
-from tables.schemas import SCHEMA_VERSION
+from tables.schemas import ALL_SCHEMAS, SCHEMA_VERSION
+from tables.sidecar import is_table_of_today
 from tables.tolerances import Tolerances, TolerancesError
 from tables.vocabulary import Split
 
@@ -31,7 +32,7 @@ NAME = "placebench"
 LICENCE = "CC-BY-4.0"
 
 # Version of the data that this code makes: PATCH re-serialised, MINOR rows or columns added, MAJOR rows changed or moved across splits.
-DATA_VERSION = "0.4.0"
+DATA_VERSION = "1.0.0"
 
 # Measured once, different on every machine: shipped and checksummed, but no part of what the release hash identifies.
 MEASUREMENTS = ("timings",)
@@ -102,6 +103,9 @@ class Manifest:
             if not _TABLE_NAME.fullmatch(name):
                 raise ReleaseError(f"tables: name {shown(name)}, must match {_TABLE_NAME.pattern}")
             check_equal(f"tables.{name}: files", entry.files, list(files_of_table(name)))
+            if name in ALL_SCHEMAS and not is_table_of_today(ALL_SCHEMAS[name], self.schema_version):
+                since = ALL_SCHEMAS[name].since
+                raise ReleaseError(f"schema_version {self.schema_version}: table {name!r} is another since {since}, as this code reads it")
         listed = {*TEXTS, *(file for name in self.tables for file in files_of_table(name))}
         if listed != self.files.keys():
             missing, unknown = sorted(listed - self.files.keys()), sorted(self.files.keys() - listed)
@@ -188,10 +192,14 @@ def check_tier(tier: object) -> None:
 
 
 def check_versions(schema_version: object, version: object) -> None:
-    """Raise ReleaseError where a version is malformed, of a newer major than this code knows, or of another schema than it reads."""
+    """Raise ReleaseError where a version is malformed, of a newer major than this code knows, or of a schema that it does not read.
+
+    It reads earlier schemas of its own major as far as their tables are those of today.
+    """
     check_major_versions(schema_version, version)
-    if schema_version != SCHEMA_VERSION:
-        raise ReleaseError(f"schema_version {schema_version}, this code reads {SCHEMA_VERSION} only")
+    found, own = check_version("schema_version", schema_version), check_version("schema_version", SCHEMA_VERSION)
+    if found[0] != own[0] or found > own:
+        raise ReleaseError(f"schema_version {schema_version}, this code reads {own[0]}.0.0 to {SCHEMA_VERSION}")
 
 
 def check_major_versions(schema_version: object, version: object) -> None:

@@ -65,7 +65,8 @@ def check_provenance(provenance: Mapping[str, str]) -> None:
 def git_commit(folder: Path = PACKAGE_ROOT) -> str:
     """Commit of the checkout that holds the folder: 40 hex digits, followed by `-dirty` where the work tree differs from it.
 
-    Files that are neither tracked nor ignored count as a difference: an untracked module can change a label.
+    Files that are neither tracked nor ignored count as a difference: an untracked module can change a label. What the checkout holds
+    in `data` does not: tables are made by the code and never read as a part of it.
 
     Args:
         folder: by default the folder of this package. Where git does not track anything in it (an installed package inside
@@ -74,7 +75,7 @@ def git_commit(folder: Path = PACKAGE_ROOT) -> str:
     if not _git(folder, "ls-files", "--", "."):
         return UNKNOWN_COMMIT
     head = _git(folder, "rev-parse", "HEAD")
-    changes = _git(folder, "status", "--porcelain")
+    changes = _git(folder, "status", "--porcelain", "--", ":/", ":(top,exclude)data")
     if head is None or changes is None or not _COMMIT.fullmatch(head):
         return UNKNOWN_COMMIT
     return f"{head}-dirty" if changes else head

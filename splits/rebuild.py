@@ -171,7 +171,7 @@ def _first_difference(made: pa.Table, expected: pa.Table) -> str:
 def _publish(release: Release, name: str, table: pa.Table, root: DataRoot) -> None:
     """Write the file aside and move it in if it is, byte for byte, the one that the manifest lists."""
     manifest, (file,) = release.manifest, files_of_table(name)
-    write_parquet(ALL_SCHEMAS[name], table, root.path / file)
+    write_parquet(ALL_SCHEMAS[name], table, root.path / file, described=False)
     found, expected = file_sha256(root.path / file), manifest.files[file].sha256
     if found != expected:
         pyarrow = manifest.libraries.get("pyarrow", "unknown")

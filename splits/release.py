@@ -2,6 +2,7 @@
 
 python -m splits.release verify DIR [--light]
 python -m splits.release light WHOLE LIGHT
+python -m splits.release render DIR
 python -m splits.release diff A B
 """
 
@@ -114,11 +115,23 @@ def write_release(
         provenance=dict(provenance),
         libraries=library_versions(LIBRARIES),
     )
-    for name, text in render_texts(tables, draft).items():
-        write_text_atomically(directory / name, text)
-    manifest = replace(draft, files={**draft.files, **_listed(directory, TEXTS)})
-    write_text_atomically(directory / MANIFEST, manifest.to_text())
-    return manifest
+    return _write_texts(directory, tables, draft)
+
+
+def render_release(directory: Path) -> Manifest:
+    """Make the texts of a release again and list them in its manifest: after a DOI, or with code that has other words for the same data.
+
+    Args:
+        directory: a release, whole or light; its tables stay as they are, and its texts may be anything.
+
+    Raises:
+        ReleaseError: a table that is not what the manifest says.
+    """
+    manifest = read_manifest(directory)
+    absent = left_out(directory, manifest)
+    there = sorted(manifest.tables.keys() - set(absent))
+    tables = {name: read_released_table(directory, manifest, name, verify=True) for name in there}
+    return _write_texts(directory, tables, manifest)
 
 
 def verify_release(directory: Path, *, may_be_light: bool = False) -> Manifest:
@@ -224,11 +237,21 @@ def _check_values(tables: Mapping[str, pa.Table], tolerances: Tolerances) -> Non
         raise ReleaseError(f"leakage: {len(leaks)} leaks, must be 0; first {leaks[0]}")
 
 
+def _write_texts(directory: Path, tables: Mapping[str, pa.Table], draft: Manifest) -> Manifest:
+    """Write the texts, then the manifest that lists them."""
+    for name, text in render_texts(tables, draft).items():
+        write_text_atomically(directory / name, text)
+    manifest = replace(draft, files={**draft.files, **_listed(directory, TEXTS)})
+    write_text_atomically(directory / MANIFEST, manifest.to_text())
+    return manifest
+
+
 def _write(name: str, tables: Mapping[str, pa.Table], directory: Path) -> TableEntry:
     check_table(ALL_SCHEMAS[name], tables[name])
     files = files_of_table(name)
     for file, part in zip(files, parts_of_table(name, tables), strict=True):
-        write_parquet(ALL_SCHEMAS[name], part, directory / file)
+        # Heavy tables are made again by later code, which must come to the same bytes, whatever words it has for them.
+        write_parquet(ALL_SCHEMAS[name], part, directory / file, described=name not in HEAVY_TABLES)
     return TableEntry(list(files), tables[name].num_rows, content_hash(tables[name]))
 
 
@@ -246,6 +269,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     light = commands.add_parser("light", help=f"copy a release without its heavy tables: {', '.join(HEAVY_TABLES)}")
     light.add_argument("whole", type=Path, help="the release folder")
     light.add_argument("directory", type=Path, help="the folder of the light one")
+    render = commands.add_parser("render", help="make card, datasheet and Croissant metadata again; tables stay as they are")
+    render.add_argument("directory", type=Path, help="a release folder, whole or light")
     diff = commands.add_parser("diff", help="say what changed from one release to another, whole or light", epilog=EXIT_STATUS)
     diff.add_argument("a", type=Path, help="the release folder of before")
     diff.add_argument("b", type=Path, help="the one of after")
@@ -255,7 +280,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if chosen.command == "light":
             make_light(chosen.whole, chosen.directory)
-        manifest = verify_release(chosen.directory, may_be_light=chosen.command == "light" or chosen.light)
+        elif chosen.command == "render":
+            render_release(chosen.directory)
+        manifest = verify_release(chosen.directory, may_be_light=chosen.command != "verify" or chosen.light)
     except ReleaseError as error:
         print(f"not sound: {error}", file=sys.stderr)
         return 1

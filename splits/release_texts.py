@@ -47,7 +47,7 @@ def check_texts(directory: Path, tables: Mapping[str, pa.Table], manifest: Manif
             continue
         lines = zip_longest(found.splitlines(), expected.splitlines())
         k, (own, made) = next(((k, pair) for k, pair in enumerate(lines, 1) if pair[0] != pair[1]), (0, ("", "")))
-        raise ReleaseError(f"{name}: line {k} is {shown(own)}, the data make {shown(made)}")
+        raise ReleaseError(f"{name}: line {k} is {shown(own)}, the data make {shown(made)} (`python -m splits.release render` writes it)")
 
 
 def _facts(manifest: Manifest) -> dict[str, str]:

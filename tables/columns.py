@@ -58,6 +58,12 @@ class TableSchema:
     def arrow(self) -> pa.Schema:
         return pa.schema([column.field() for column in self.columns])
 
+    @property
+    def described(self) -> pa.Schema:
+        """The same with what each column means as `description`, and its `unit` where it has one, in the metadata of its field."""
+        fields = [(column, {"description": column.meaning, "unit": column.unit}) for column in self.columns]
+        return pa.schema([column.field().with_metadata({k: v for k, v in words.items() if v}) for column, words in fields])
+
 
 _CATEGORICAL = pa.dictionary(pa.int16(), pa.string())
 

@@ -121,10 +121,10 @@ def check_belongs(sidecar: Sidecar, schema: TableSchema, of: str | None) -> None
         raise StoreError(f"is of {sidecar.of!r}, expected {of!r}")
 
 
-def has_schema_of_today(sidecar: Sidecar, schema: TableSchema) -> bool:
-    """Whether a table was written under a schema version in which it was what it is now: from `schema.since` to today's."""
-    found = _VERSION.fullmatch(sidecar.schema_version)
-    return found is not None and _numbers(schema.since) <= _numbers(sidecar.schema_version) <= _numbers(SCHEMA_VERSION)
+def is_table_of_today(schema: TableSchema, written_under: str) -> bool:
+    """Whether a schema version is one in which a table was what it is now: from `schema.since` to today's."""
+    found = _VERSION.fullmatch(written_under)
+    return found is not None and _numbers(schema.since) <= _numbers(written_under) <= _numbers(SCHEMA_VERSION)
 
 
 def check_sha256(sidecar: Sidecar, path: Path) -> None:
@@ -158,7 +158,7 @@ def _load(path: Path) -> Sidecar:
 
 def _difference(sidecar: Sidecar, schema: TableSchema, made_from: Mapping[str, str]) -> str | None:
     """What a table was made from that would be different today."""
-    if not has_schema_of_today(sidecar, schema):
+    if not is_table_of_today(schema, sidecar.schema_version):
         return f"schema version {sidecar.schema_version!r}, must be from {schema.since!r} to {SCHEMA_VERSION!r}"
     names = sorted(name for name in sidecar.made_from.keys() | made_from.keys() if sidecar.made_from.get(name) != made_from.get(name))
     return f"made from other inputs: {', '.join(names)}" if names else None

@@ -136,10 +136,14 @@ def write_table(schema: TableSchema, table: pa.Table, path: Path, made_from: Map
     return sidecar
 
 
-def write_parquet(schema: TableSchema, table: pa.Table, path: Path) -> None:
-    """Check a table and publish it without a sidecar, in a folder whose manifest says what one would; raises SchemaError."""
+def write_parquet(schema: TableSchema, table: pa.Table, path: Path, *, described: bool) -> None:
+    """Check a table and publish it without a sidecar, in a folder whose manifest says what one would; raises SchemaError.
+
+    Args:
+        described: fields carry their meaning and unit as metadata, which are then a part of the file's bytes.
+    """
     check_table(schema, table)
-    _publish(table, path)
+    _publish(table.cast(schema.described) if described else table, path)
 
 
 def read_table(schema: TableSchema, path: Path, *, of: str | None = None, verify: bool = False) -> pa.Table:

@@ -16,7 +16,7 @@ import pyarrow as pa
 from objects.build import ObjectTables
 from pipelines.running.data_root import DataRoot
 from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES
-from tables.sidecar import has_schema_of_today
+from tables.sidecar import is_table_of_today
 from tables.store import Sidecar, StoreError, file_sha256, read_sidecar, read_table, sidecar_path, table_from_rows, write_table
 
 
@@ -68,7 +68,7 @@ def intact_sidecars(
     try:
         for name, path in paths.items():
             sidecar = read_sidecar(path)
-            if sidecar.made_from != sources or not has_schema_of_today(sidecar, ALL_SCHEMAS[name]):
+            if sidecar.made_from != sources or not is_table_of_today(ALL_SCHEMAS[name], sidecar.schema_version):
                 return None
             if sidecar.table != name or file_sha256(path) != sidecar.sha256:
                 raise StoreError(f"{path}: is not the table {name} that its sidecar tells of")

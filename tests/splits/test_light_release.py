@@ -122,3 +122,15 @@ def test_a_light_copy_replaces_a_whole_release(release: Path, release_tables: di
     make_light(release, tmp_path)
     assert contents(tmp_path) == contents(light)
     assert (tmp_path / MANIFEST).exists()
+
+
+def test_texts_are_made_again_and_tables_stay(light: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    directory = copy_of(light, tmp_path)
+    relisted("DATASHEET.md", lambda b: b.replace(b"pilot", b"full", 1))(directory)
+    (directory / "README.md").unlink()
+    assert main(["render", str(directory)]) == 0
+    assert contents(directory) == contents(light)
+    assert "sound: placebench pilot 0.1.0" in capsys.readouterr().out
+    rewritten("grasps.parquet", lambda b: b[:100] + bytes([b[100] ^ 1]) + b[101:])(directory)
+    assert main(["render", str(directory)]) == 1
+    assert "not sound: grasps" in capsys.readouterr().err

@@ -63,6 +63,18 @@ def test_a_checkout_that_differs_is_dirty(checkout: Path, change: str) -> None:
     assert git_commit(checkout) == f"{git(checkout, 'rev-parse', 'HEAD')}-dirty"
 
 
+def test_tables_that_the_checkout_holds_are_no_difference(checkout: Path) -> None:
+    (checkout / ".gitignore").write_text("")
+    git(checkout, "commit", "--quiet", "--all", "--message", "nothing is ignored")
+    table = checkout / "data" / "release" / "full" / "t.parquet"
+    table.parent.mkdir(parents=True)
+    table.write_text("new")
+    assert git_commit(checkout) == git(checkout, "rev-parse", "HEAD")
+    (checkout / "package" / "data").mkdir()
+    (checkout / "package" / "data" / "module.py").write_text("X = 2\n")
+    assert git_commit(checkout).endswith("-dirty"), "only the folder at the top"
+
+
 def test_a_hook_of_another_repository_does_not_count(checkout: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     other = tmp_path / "other"
     other.mkdir()

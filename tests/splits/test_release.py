@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 
 from splits.errors import ReleaseError
-from splits.manifest import MANIFEST, read_manifest
+from splits.manifest import DATA_VERSION, MANIFEST, read_manifest
 from splits.release import main, verify_release, write_release
 from tables import schemas
 from tables.columns import SchemaError
@@ -134,7 +134,7 @@ def test_a_release_is_checked_by_and_states_its_own_tolerances(release_tables: d
     ("version", "message"),
     [
         ("0.1", "version '0.1', must be major.minor.patch"),
-        ("1.0.0", r"version 1.0.0 is of a newer major version than this code knows \(0.4.0\)"),
+        ("2.0.0", rf"version 2.0.0 is of a newer major version than this code knows \({DATA_VERSION}\)"),
     ],
 )
 def test_a_release_that_could_not_be_read_is_not_written(

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from splits.manifest import CARD, CROISSANT, DATASHEET, MANIFEST, files_of_table
+from splits.manifest import CARD, CROISSANT, DATA_VERSION, DATASHEET, MANIFEST, files_of_table
+from tables.schemas import SCHEMA_VERSION
 from tests.splits.damage import TRAIN_FILE, Damage, answer, copy_of, dropped, listed, relisted, signed, swapped
 
 TEST_FILE = files_of_table("candidates")[2]
@@ -42,16 +43,17 @@ SIGNED: list[tuple[str, Damage, list[str]]] = [
     ("a version that is a number", signed("version", to=0.1), ["version 0.1, must be major.minor.patch"]),
     (
         "newer data",
-        signed("version", to="1.0.0"),
-        ["version 1.0.0 is of a newer major version than this code knows (0.4.0)", "newer PlaceBench"],
+        signed("version", to="2.0.0"),
+        [f"version 2.0.0 is of a newer major version than this code knows ({DATA_VERSION})", "newer PlaceBench"],
     ),
     (
         "a newer schema",
         signed("schema_version", to="3.0.0"),
-        ["schema_version 3.0.0 is of a newer major version than this code knows (2.1.0)"],
+        [f"schema_version 3.0.0 is of a newer major version than this code knows ({SCHEMA_VERSION})"],
     ),
-    ("another schema", signed("schema_version", to="2.0.0"), ["schema_version 2.0.0, this code reads 2.1.0 only"]),
-    ("an older schema", signed("schema_version", to="0.9.0"), ["schema_version 0.9.0, this code reads 2.1.0 only"]),
+    ("another schema", signed("schema_version", to="2.0.0"), ["schema_version 2.0.0: table 'splits' is another since 2.1.0"]),
+    ("a later schema", signed("schema_version", to="2.999.0"), ["schema_version 2.999.0, this code reads 2.0.0 to"]),
+    ("an older schema", signed("schema_version", to="0.9.0"), ["schema_version 0.9.0, this code reads 2.0.0 to"]),
     ("a schema version that is a number", signed("schema_version", to=1), ["schema_version 1, must be major.minor.patch"]),
     ("no version", dropped("version"), ["version None, must be major.minor.patch"]),
     ("newer data of other fields", lambda d: (dropped("licence")(d), signed("version", to="7.0.0")(d)), ["newer major version"]),

@@ -186,15 +186,28 @@ def test_a_table_of_another_kind_is_refused(tmp_path: Path) -> None:
 def test_without_a_sidecar_it_is_the_same_file(tmp_path: Path) -> None:
     table = table_from_rows(SAMPLE, [{"id": "a", "split": "train", "x_m": 0.5, "path": [1.0, 2.0]}])
     write_table(SAMPLE, table, tmp_path / "with.parquet")
-    write_parquet(SAMPLE, table, tmp_path / "split=test" / "without.parquet")
+    write_parquet(SAMPLE, table, tmp_path / "split=test" / "without.parquet", described=False)
     assert (tmp_path / "split=test" / "without.parquet").read_bytes() == (tmp_path / "with.parquet").read_bytes()
     assert [path.name for path in (tmp_path / "split=test").iterdir()] == ["without.parquet"]
     assert read_parquet(SAMPLE, tmp_path / "split=test" / "without.parquet").equals(table), "no column is read from the folder's name"
     with pytest.raises(SchemaError, match="sample: schema differs"):
-        write_parquet(SAMPLE, table.drop_columns(["path"]), tmp_path / "split=test" / "without.parquet")
+        write_parquet(SAMPLE, table.drop_columns(["path"]), tmp_path / "split=test" / "without.parquet", described=False)
     assert read_parquet(SAMPLE, tmp_path / "split=test" / "without.parquet").equals(table)
     with pytest.raises(StoreError, match="holds columns"):
         read_parquet(SPLITS, tmp_path / "with.parquet")
+
+
+def test_a_described_file_says_what_its_columns_mean_and_holds_the_same_values(tmp_path: Path) -> None:
+    table = table_from_rows(SAMPLE, [{"id": "a", "split": "train", "x_m": 0.5, "path": [1.0, 2.0]}])
+    write_parquet(SAMPLE, table, tmp_path / "t.parquet", described=True)
+    found = pq.read_schema(tmp_path / "t.parquet")
+    for column in SAMPLE.columns:
+        words = found.field(column.name).metadata
+        assert words[b"description"].decode() == column.meaning
+        assert words.get(b"unit", b"").decode() == column.unit
+    read = read_parquet(SAMPLE, tmp_path / "t.parquet")
+    assert read.equals(table)
+    assert content_hash(read) == content_hash(table)
 
 
 def test_a_failed_write_leaves_the_old_table(tmp_path: Path) -> None:
