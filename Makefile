@@ -58,8 +58,8 @@ bench: $(INSTALLED)  ## what a label costs; writes reports/out/bench.json (about
 reproduce: $(INSTALLED)  ## equal tables for any number of workers, any order, and ids made alone (about five minutes)
 	$(PY) -m pipelines.reproduce
 
-validity: $(INSTALLED)  ## the held object's engine against theory, itself and another engine; writes reports/out/validity.json and .md (TIER=pilot)
-	$(PY) -m assets_def.validity $(if $(filter file,$(origin TIER)),pilot,$(TIER)) --workers $(WORKERS)
+validity: $(INSTALLED)  ## the held object's engine against theory, itself and another engine; writes reports/out/validity.json and .md (TIER=pilot; ONLY=study)
+	$(PY) -m assets_def.validity $(if $(filter file,$(origin TIER)),pilot,$(TIER)) --workers $(WORKERS) $(if $(ONLY),--only $(ONLY))
 
 $(INSTALLED): pyproject.toml constraints.txt
 	test -x $(PY) || $(PYTHON) -m venv $(VENV)
