@@ -24,8 +24,8 @@ dataset: $(INSTALLED)  ## a tier's dataset and reports: only what is missing or 
 ui: $(INSTALLED)  ## the Dagster UI on this checkout
 	$(VENV)/bin/dagster dev -m assets_def.definitions
 
-reports: $(INSTALLED)  ## every report from a release and the tables about it, nothing labelled or trained (TIER, or RELEASE=folder)
-	$(PY) -m reports.all $(RELEASE)
+reports: $(INSTALLED)  ## every report from a release and the tables about it, nothing labelled or trained (TIER, or RELEASE=folder; SPLIT=scheme)
+	$(PY) -m reports.all $(RELEASE) $(if $(SPLIT),--split $(SPLIT))
 
 light: $(INSTALLED)  ## a copy of a tier's release without its heavy tables, in $(RELEASE)-light
 	$(PY) -m splits.release light $(RELEASE) $(RELEASE)-light
