@@ -18,7 +18,7 @@ from tables.vocabulary import (
 )
 
 # A change of any table makes a new version, which that table then names as its `since`.
-SCHEMA_VERSION = "2.1.0"
+SCHEMA_VERSION = "2.2.0"
 
 _SCENE_ID = text("scene_id", "scene, also the scene group")
 _OBJECT_ID = text("object_id", "catalogue object")
@@ -193,8 +193,9 @@ AUDITS = TableSchema("audits", "planning labels checked again by an independent 
 
 PREDICTIONS = TableSchema("predictions", "what a trained ranker says of every candidate", ("variant", "seed", "candidate_id"), (
     text("variant", "full, direct, no_object_relative or no_target_hypothesis; trees or trees_poses of the probe"), integer("seed", "training seed"), _CANDIDATE_ID,
-    real("log_p_plan", "log probability that a plan exists"), real("log_p_exec", "log probability of success given a plan"), real("score", "ranking score: their sum"),
-))
+    single("log_p_plan", "log probability that a plan exists"),
+    single("log_p_exec", "log probability of success given a plan; the ranking score is the sum of both, in 32 bits too"),
+), since="2.2.0")
 
 TIMINGS = TableSchema("timings", "core time of each unit of work, measured once; never part of a hashed release", ("stage", "item_id"), (
     text("stage", "stage that spent the time"), plain("item_id", "scene, grasp or candidate"), real("core_ms", "CPU time of the worker", "ms"),

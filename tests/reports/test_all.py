@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow as pa
 import pytest
 
+from model.settings import SCHEME_OF_PREDICTIONS
+from reports import ablation, success_at_k
 from reports.all import main
 from reports.kinds import KINDS
+from reports.report import ReportError
 from reports.sources import BESIDE, Sources
 from reports.success_at_k import success_at_k_report
 from splits.manifest import read_manifest
@@ -17,6 +23,7 @@ from splits.release import make_light, write_release
 from splits.release_reader import Release
 from tables import schemas
 from tables.store import table_from_columns, table_from_rows, write_table
+from tables.vocabulary import SplitScheme
 from tests.model.synthetic_release import TOLERANCES
 from tests.splits.damage import PROVENANCE
 
@@ -129,6 +136,83 @@ def test_tables_about_another_release_and_damaged_ones_fail_alone(data: Path, tm
     assert "FAILED, StoreError" in lines["audit"]
     assert out.splitlines()[-1].endswith("left out: gallery; failed: audit, trees_probe")
     assert {path.stem for path in (tmp_path / "out").glob("*.md")} == set(MADE) - {"audit", "trees_probe"}
+
+
+def under(scheme: str, data: Path, folder: Path) -> Path:
+    """The predictions of both kinds as those of rankers that were trained under a scheme."""
+    sources = Sources(Release.open(data / "release" / "full"), data / "predictions" / "full")
+    for name in ("predictions", "tree_predictions"):
+        write_table(schemas.PREDICTIONS, sources.table(name), folder / f"{name}.parquet", {SCHEME_OF_PREDICTIONS: scheme}, of="full")
+    return folder
+
+
+def test_under_a_scheme_only_what_a_split_decides_is_made(
+    data: Path, release_tables: dict[str, pa.Table], predictions: pa.Table, tmp_path: Path, monkeypatch, capsys
+) -> None:
+    copied = Path(shutil.copytree(data, tmp_path / "data"))
+    under("object", data, copied / "predictions" / "full" / "object")
+    monkeypatch.chdir(tmp_path)
+    assert main([str(copied / "release" / "full"), "--split", "object"]) == 0
+    out = tmp_path / "reports" / "out" / "full" / "object"
+    decided = {"profile", "success_at_k", "ablation", "trees_probe"}
+    assert {path.stem for path in out.glob("*.md")} == decided
+    assert capsys.readouterr().out.splitlines()[-1] == "4 of 4 reports in reports/out/full/object"
+    for name in decided:
+        assert ", split `object`" in (out / f"{name}.md").read_text().splitlines()[0], name
+    expected = success_at_k_report(release_tables, predictions, tier="full", seed=42, scheme=SplitScheme.OBJECT)
+    # Decision times are measured again under another scheme: there are none here, and those of the paper's split are not shown.
+    assert (json.loads((out / "success_at_k.json").read_text())) == dict(expected.metrics)
+    assert main([str(copied / "release" / "full"), "--split", "kitchen"]) == 1
+    assert capsys.readouterr().err.startswith("error: split 'kitchen', must be one of ")
+
+
+@pytest.mark.parametrize(("trained", "asked"), [("object", "scene"), ("scene", "layout"), ("object", "layout")])
+def test_predictions_of_another_scheme_are_refused_by_every_report_alike(
+    trained: str, asked: str, data: Path, tmp_path: Path, capsys
+) -> None:
+    folder, release = under(trained, data, tmp_path / "about"), data / "release" / "full"
+    sources = Sources(Release.open(release), folder, scheme=SplitScheme(asked))
+    for name, file in (("success_at_k", "predictions"), ("ablation", "predictions"), ("trees_probe", "tree_predictions")):
+        says = f"{folder / file}.parquet: of rankers that were trained under split {trained!r}, must be {asked!r}, the split asked for"
+        with pytest.raises(ReportError, match=f"^{re.escape(says)}$"):
+            KINDS[name].make(sources)
+    for command in (success_at_k.main, ablation.main):
+        path = str(folder / "predictions.parquet")
+        assert command([str(release), "--split", asked, "--predictions", path]) == 1
+        says = f"of rankers that were trained under split {trained!r}, must be {asked!r}, the split asked for"
+        assert capsys.readouterr().err == f"error: {path}: {says}\n"
+
+
+def test_a_part_of_a_scheme_that_a_small_tier_lacks_is_named(data: Path, tmp_path: Path) -> None:
+    sources = Sources(Release.open(data / "release" / "full"), under("layout", data, tmp_path), scheme=SplitScheme.LAYOUT)
+    rows = [row | {"split_layout": "train"} for row in sources.table("splits").to_pylist()]
+    sources.release._tables["splits"] = table_from_rows(schemas.SPLITS, rows)
+    for name in ("success_at_k", "ablation", "trees_probe"):
+        with pytest.raises(
+            ReportError, match=r"splits: 0 scenes in (test|validation) of scheme layout, must be at least 1: take a larger tier"
+        ):
+            KINDS[name].make(sources)
+
+
+def test_rankers_and_tasks_that_are_not_there_are_named(data: Path, tmp_path: Path) -> None:
+    release = Release.open(data / "release" / "full")
+    whole, some = Sources(release, data / "predictions" / "full"), Sources(release, tmp_path)
+
+    def keep(name: str, is_kept: Callable[[dict], bool]) -> None:
+        rows = [row for row in whole.table(name).to_pylist() if is_kept(row)]
+        write_table(BESIDE[name], table_from_rows(BESIDE[name], rows), some.path(name), of="full")
+
+    keep("predictions", lambda row: row["variant"] == "no_object_relative" or (row["variant"], row["seed"]) == ("direct", 42))
+    keep("tree_predictions", lambda row: row["variant"] == "trees")
+    keep("decision_times", lambda row: True)
+    without = f"{some.path('predictions')} is there without"
+    times = f"{some.path('decision_times')} is there without task fixed"
+    assert KINDS["success_at_k"].goes_without(some) == [f"{without} full", times]
+    assert KINDS["success_at_k"].goes_without(whole) == [f"{whole.path('decision_times')} is there without task fixed"]
+    assert KINDS["ablation"].goes_without(some) == [f"{without} direct of seed 43, no_target_hypothesis, full"]
+    assert KINDS["trees_probe"].lacks(some) == [f"{some.path('tree_predictions')} is there without trees_poses"]
+    assert not KINDS["ablation"].lacks(some)
+    assert not any((KINDS["ablation"].goes_without(whole), KINDS["ablation"].lacks(whole), KINDS["trees_probe"].lacks(whole)))
 
 
 def test_no_release_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
