@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import pyarrow as pa
+
 from reports.ablation import ablation_report
 from reports.audit import audit_report
+from reports.ceiling import ceiling_report
 from reports.gallery import gallery_report
 from reports.policies import prediction_seeds
 from reports.profile import profile_report
@@ -17,7 +20,8 @@ from reports.sources import Sources
 from reports.success_at_k import DESIGNATED_SEED, success_at_k_report
 from reports.trees_probe import trees_probe_report
 from splits.release_laws import stage_tables
-from tables.schemas import OBJECT_TABLES
+from tables.schemas import OBJECT_TABLES, PREDICTIONS
+from tables.store import join_tables
 
 # Filmstrips an execution status.
 N_FILMS = {"mini": 1, "pilot": 3, "full": 3}
@@ -74,8 +78,8 @@ def _audit(sources: Sources) -> Report:
 
 def _success_at_k(sources: Sources) -> Report:
     tables = sources.tables((*_RANKED, *sources.there(["timings"])))
-    about = sources.tables(sources.there(["predictions", "decision_times"]))
-    return success_at_k_report(tables, about.get("predictions"), about.get("decision_times"), tier=sources.tier, seed=sources.seed)
+    times = sources.tables(sources.there(["decision_times"])).get("decision_times")
+    return success_at_k_report(tables, _all_predictions(sources), times, tier=sources.tier, seed=sources.seed)
 
 
 def _ablation(sources: Sources) -> Report:
@@ -90,6 +94,17 @@ def _trees_probe(sources: Sources) -> Report:
     return trees_probe_report(sources.tables(_RANKED), predictions, split="test", seed=seed, title=title)
 
 
+def _ceiling(sources: Sources) -> Report:
+    tables, replicates = sources.tables(_RANKED), sources.table("test_replicates")
+    return ceiling_report(tables, replicates, _all_predictions(sources), tier=sources.tier, seed=sources.seed)
+
+
+def _all_predictions(sources: Sources) -> pa.Table | None:
+    """Those of the networks and those of the trees, as far as they are there."""
+    there = sources.tables(sources.there(["predictions", "tree_predictions"]))
+    return join_tables(PREDICTIONS, list(there.values())) if there else None
+
+
 KINDS = {
     kind.name: kind
     for kind in (
@@ -98,8 +113,9 @@ KINDS = {
         Kind("gallery", _PICTURED, _gallery, ("plans",)),
         Kind("repeatability", ("candidates", "attempts"), _repeatability),
         Kind("audit", ("candidates", "audits"), _audit),
-        Kind("success_at_k", _RANKED, _success_at_k, ("predictions", "decision_times", "timings")),
+        Kind("success_at_k", _RANKED, _success_at_k, ("predictions", "tree_predictions", "decision_times", "timings")),
         Kind("ablation", (*_RANKED, "predictions"), _ablation),
         Kind("trees_probe", (*_RANKED, "tree_predictions"), _trees_probe),
+        Kind("ceiling", (*_RANKED, "test_replicates"), _ceiling, ("predictions", "tree_predictions")),
     )
 }

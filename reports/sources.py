@@ -15,7 +15,7 @@ from splits.release_folder import left_out_error
 from splits.release_reader import Release
 from tables.columns import TableSchema
 from tables.identity import family_of_tier
-from tables.schemas import ATTEMPTS, AUDITS, PREDICTIONS, TIMINGS
+from tables.schemas import ATTEMPTS, AUDITS, PREDICTIONS, TEST_REPLICATES, TIMINGS
 from tables.store import read_sidecar, read_table
 
 # Made from a release, so after it and beside it: names of the files, and their tables. `attempts` may be in the release too; those of the
@@ -26,6 +26,7 @@ BESIDE: dict[str, TableSchema] = {
     "tree_predictions": PREDICTIONS,
     "attempts": ATTEMPTS,
     "audits": AUDITS,
+    "test_replicates": TEST_REPLICATES,
 }
 
 _DEFAULT_SEED = "42"  # of releases whose provenance does not name the seed of the recipe

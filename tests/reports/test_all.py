@@ -18,6 +18,7 @@ from splits.release_reader import Release
 from tables import schemas
 from tables.store import table_from_columns, table_from_rows, write_table
 from tests.model.synthetic_release import TOLERANCES
+from tests.reports.replicates import replicates_of
 from tests.splits.damage import PROVENANCE
 
 # The synthetic release has no meshes to draw.
@@ -46,6 +47,7 @@ def about(release_tables: dict[str, pa.Table], predictions: pa.Table) -> dict[st
         "tree_predictions": table_from_rows(schemas.PREDICTIONS, trees),
         "attempts": table_from_rows(schemas.ATTEMPTS, [{name: row[name] for name in labels} | same for row in first]),
         "audits": table_from_rows(schemas.AUDITS, audits),
+        "test_replicates": replicates_of(release_tables),
     }
 
 
