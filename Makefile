@@ -24,8 +24,8 @@ dataset: $(INSTALLED)  ## a tier's dataset and reports: only what is missing or 
 ui: $(INSTALLED)  ## the Dagster UI on this checkout
 	$(VENV)/bin/dagster dev -m assets_def.definitions
 
-reports: $(INSTALLED)  ## every report from a release and the tables about it, nothing labelled or trained (TIER, or RELEASE=folder)
-	$(PY) -m reports.all $(RELEASE)
+reports: $(INSTALLED)  ## every report from a release and the tables about it, nothing labelled or trained (TIER, or RELEASE=folder; SPLIT=scheme)
+	$(PY) -m reports.all $(RELEASE) $(if $(SPLIT),--split $(SPLIT))
 
 light: $(INSTALLED)  ## a copy of a tier's release without its heavy tables, in $(RELEASE)-light
 	$(PY) -m splits.release light $(RELEASE) $(RELEASE)-light
@@ -58,8 +58,8 @@ bench: $(INSTALLED)  ## what a label costs; writes reports/out/bench.json (about
 reproduce: $(INSTALLED)  ## equal tables for any number of workers, any order, and ids made alone (about five minutes)
 	$(PY) -m pipelines.reproduce
 
-validity: $(INSTALLED)  ## the held object's engine against theory, itself and another engine; writes reports/out/validity.json and .md (TIER=pilot)
-	$(PY) -m assets_def.validity $(if $(filter file,$(origin TIER)),pilot,$(TIER)) --workers $(WORKERS)
+validity: $(INSTALLED)  ## the held object's engine against theory, itself and another engine; writes reports/out/validity.json and .md (TIER=pilot; ONLY=study)
+	$(PY) -m assets_def.validity $(if $(filter file,$(origin TIER)),pilot,$(TIER)) --workers $(WORKERS) $(if $(ONLY),--only $(ONLY))
 
 $(INSTALLED): pyproject.toml constraints.txt
 	test -x $(PY) || $(PYTHON) -m venv $(VENV)

@@ -41,7 +41,7 @@ from splits.scene_groups import SplitParams
 from splits.schemes import catalogue_sizes, empty_parts, split_table
 from tables.columns import TableSchema
 from tables.identity import family_of_tier, scenes_of_shard, shards_of_tier
-from tables.schemas import ALL_SCHEMAS, CANDIDATES, GRASPS, OBJECT_TABLES, SPLITS
+from tables.schemas import ALL_SCHEMAS, CANDIDATES, GRASPS, OBJECT_TABLES, SCHEMA_VERSION, SPLITS
 from tables.store import file_sha256, read_table, read_tables
 
 RELEASE_CODE_VERSION = "1"  # of the joined tables
@@ -233,6 +233,7 @@ def _release_products(benchmark: Benchmark, tier: str) -> tuple[FilesProduct]:
     made_from = {
         "code": FOLDER_CODE_VERSION,
         "data_version": DATA_VERSION,
+        "schema_version": SCHEMA_VERSION,
         "citation": file_sha256(CITATION_FILE),
         **object_hashes(benchmark, OBJECT_TABLES),
         **shard_hashes(benchmark, tier, _SHARD_TABLES),

@@ -1,5 +1,8 @@
 """Whether the held object's engine is valid: `python -m assets_def.validity pilot` writes reports/out/validity.json and validity.md.
 
+With `--only STUDY ...` some studies run, and the report, which says what it leaves out, has a name of its own:
+`validity-TIER-STUDY.json` and `.md`.
+
 The tests are in pipelines/proofs/validity. Rows are kept as they finish, below the tier, and used again as long as code, recipe, release
 and engines are the same: a killed command continues where it was.
 """
@@ -9,7 +12,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from pathlib import Path
 
 from rich.console import Console
 from rich.markdown import Markdown
@@ -17,7 +21,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from assets_def.inputs import source_version
 from assets_def.resources import REPOSITORY, Benchmark
-from pipelines.proofs.validity.studies import StudyProgress, numbers_of, run_studies
+from pipelines.proofs.validity.studies import STUDIES, StudyProgress, numbers_of, run_studies
 from pipelines.proofs.validity.subject import Sizes, Subject
 from pipelines.recipe import Recipe
 from pipelines.running.lock import locked
@@ -37,8 +41,13 @@ SOURCES = ("tables", "objects", "pipelines")
 ENGINES = ("frankik", "mujoco-core", "numpy", "pybullet", "ruckig", "scipy")
 
 
-def validity(tier: str, benchmark: Benchmark, sizes: Sizes, console: Console = CONSOLE) -> ValidityReport:
+def validity(
+    tier: str, benchmark: Benchmark, sizes: Sizes, console: Console = CONSOLE, only: Collection[str] = tuple(STUDIES)
+) -> ValidityReport:
     """Measure what is missing, and write both files.
+
+    Args:
+        only: names of the studies that run.
 
     Raises:
         ReleaseError: there is no release of the tier, or it was made with another recipe than today's.
@@ -54,14 +63,23 @@ def validity(tier: str, benchmark: Benchmark, sizes: Sizes, console: Console = C
         **{f"engine.{name}": version for name, version in library_versions(ENGINES).items()},
     }
     folder = benchmark.root.validity(tier)
+    makers = {name: maker for name, maker in STUDIES.items() if name in only}
     with locked(folder / ".lock", f"validity of {tier}"), _Bar(console) as bar:
-        results = run_studies(subject, folder, made_from, benchmark.n_workers, bar.show)
+        results = run_studies(subject, folder, made_from, benchmark.n_workers, bar.show, makers)
     commit = {"commit of the release": release.manifest.provenance["git_commit"], "data version": release.manifest.version}
-    report = validity_report(numbers_of(results, subject), results, {"tier": tier, "seed": str(recipe.seed), **made_from, **commit})
-    directory = REPOSITORY / benchmark.reports_dir
-    write_text_atomically(directory / "validity.json", report.json)
-    write_text_atomically(directory / "validity.md", report.markdown)
+    origin = {"tier": tier, "seed": str(recipe.seed), **made_from, **commit}
+    report = validity_report(numbers_of(results, subject), results, origin, [name for name in STUDIES if name not in makers])
+    path = report_path(tier, benchmark, only)
+    write_text_atomically(path.with_suffix(".json"), report.json)
+    write_text_atomically(path, report.markdown)
     return report
+
+
+def report_path(tier: str, benchmark: Benchmark, only: Collection[str]) -> Path:
+    """Where the text of a report lies, the numbers beside it: one of some studies never replaces one of all."""
+    chosen = [name for name in STUDIES if name in only]
+    name = "validity" if len(chosen) == len(STUDIES) else f"validity-{tier}-{'+'.join(chosen)}"
+    return REPOSITORY / benchmark.reports_dir / f"{name}.md"
 
 
 def _check_recipe(manifest: Manifest, recipe: Recipe) -> None:
@@ -95,16 +113,19 @@ class _Bar:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line: 0 where every number is within its bounds, 1 where one is not or could not be measured, 130 where interrupted."""
+    """Command line: 0 where every number of the studies is within its bounds, 1 where one is not or is missing, 130 where interrupted."""
     parser = argparse.ArgumentParser(prog="python -m assets_def.validity", description=__doc__)
     parser.add_argument("tier", choices=TIERS, nargs="?", default="pilot")
     default = Benchmark().n_workers
     parser.add_argument("--workers", type=int, default=default, help=f"worker processes ({default}); the result does not depend on it")
+    parser.add_argument(
+        "--only", nargs="+", choices=STUDIES, default=tuple(STUDIES), metavar="STUDY", help=f"studies to run (all): {', '.join(STUDIES)}"
+    )
     parser.add_argument("--data", default=Benchmark().data_dir, help="data folder; a relative one is below the checkout")
     chosen = parser.parse_args(arguments)
     benchmark = Benchmark(n_workers=chosen.workers, data_dir=chosen.data)
     try:
-        report = validity(chosen.tier, benchmark, Sizes())
+        report = validity(chosen.tier, benchmark, Sizes.of_tier(chosen.tier), only=chosen.only)
     except KeyboardInterrupt:
         ERRORS.print("interrupted; finished rows are kept, the same command continues there", style="red")
         return INTERRUPTED
@@ -112,8 +133,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ERRORS.print(f"{type(error).__name__}: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
         return 1
     CONSOLE.print(Markdown(report.markdown.partition("\n## Beside them")[0]))
-    CONSOLE.print(f"written to {REPOSITORY / benchmark.reports_dir / 'validity.md'} and validity.json")
-    return 0 if report.is_valid else 1
+    CONSOLE.print(f"written to {report_path(chosen.tier, benchmark, chosen.only)} and .json")
+    return 0 if report.holds else 1
 
 
 if __name__ == "__main__":

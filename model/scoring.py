@@ -62,7 +62,7 @@ def score(release_dir: Path, checkpoint_dir: Path, device: str = "auto") -> pa.T
     chosen_device = device_named(device)
     with deterministic(identity.settings, chosen_device):
         prediction = predict(ranker.to(chosen_device), release, np.arange(len(release.group_scene)))
-    columns = {name: getattr(prediction, name).double().cpu().numpy() for name in ("log_p_plan", "log_p_exec")}
+    columns = {name: getattr(prediction, name).cpu().numpy() for name in ("log_p_plan", "log_p_exec")}
     for name, values in columns.items():
         for k in np.flatnonzero(~np.isfinite(values))[:1]:
             raise CheckpointError(f"{checkpoint_dir}: {name} of {inputs.candidate_ids[k]} is {values[k]}, must be finite; train again")
@@ -74,7 +74,6 @@ def score(release_dir: Path, checkpoint_dir: Path, device: str = "auto") -> pa.T
             "seed": np.full(n, identity.seed, dtype=np.int32),
             "candidate_id": list(inputs.candidate_ids),
             **columns,
-            "score": columns["log_p_plan"] + columns["log_p_exec"],
         },
     )
 

@@ -180,6 +180,5 @@ def _predictions(inputs: ReleaseInputs, log_p: Float[np.ndarray, "2 c"], variant
             "candidate_id": list(inputs.candidate_ids),
             "log_p_plan": log_p[0],
             "log_p_exec": log_p[1],
-            "score": log_p[0] + log_p[1],
         },
     )

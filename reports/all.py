@@ -1,10 +1,13 @@
 """Every report of a release that can be rendered without labelling or training anything: `make reports TIER=full`.
 
-`python -m reports.all RELEASE [--predictions DIR] [--out DIR]`
+`python -m reports.all RELEASE [--split SCHEME] [--predictions DIR] [--out DIR]`
 
 Read are the release, whole or light, and the folder of tables that were made about it, by default `data/predictions/TIER` beside
 `data/release/TIER`, or `data/tiers/TIER` where a build left them: predictions.parquet, decision_times.parquet, tree_predictions.parquet,
 audits.parquet, and attempts.parquet where the release holds none. A report that lacks a table is left out and the file is named.
+
+With --split the reports that a split decides are made under that scheme, into a folder of its name, from predictions of rankers that were
+trained under it, by default in a folder of its name too.
 """
 
 from __future__ import annotations
@@ -17,10 +20,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from reports.kinds import KINDS
+from model.settings import scheme_named
+from reports.kinds import KINDS, Kind
 from reports.sources import Sources, folder_beside
 from splits.release_reader import Release
 from tables.errors import PlaceBenchError
+from tables.vocabulary import SplitScheme
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,30 +41,30 @@ def render_all(sources: Sources, out: Path, log: Callable[[str], Any] = print) -
     """Write every report that the sources give into a folder; one that fails does not keep the others from being made.
 
     Args:
+        sources: under another scheme than the paper's only what a split decides is made.
         log: told what becomes of each report, one line a report, and which file one lacks.
     """
     outcomes: dict[str, list[str]] = {"made": [], "left_out": [], "failed": []}
-    for kind in KINDS.values():
-        start, missing = time.perf_counter(), _missing(sources, kind.reads)
-        if missing:
-            outcomes["left_out"].append(kind.name)
-            log(f"{kind.name}: left out, {'; '.join(missing)}")
-            continue
+    for kind in kinds_under(sources.scheme):
+        start = time.perf_counter()
         try:
-            path = kind.make(sources).write(out)
+            if lacks := kind.lacks(sources):
+                outcomes["left_out"].append(kind.name)
+                log(f"{kind.name}: left out, {'; '.join(lacks)}")
+                continue
+            path, without = kind.make(sources).write(out), kind.goes_without(sources)
         except (PlaceBenchError, OSError) as error:
             outcomes["failed"].append(kind.name)
             log(f"{kind.name}: FAILED, {' '.join(f'{type(error).__name__}: {error}'.split())}")
             continue
         outcomes["made"].append(kind.name)
-        without = _missing(sources, kind.shows)
         log("; ".join([f"{kind.name}: {path}, {time.perf_counter() - start:.1f} s", *without]))
     return Rendered(*(tuple(names) for names in outcomes.values()))
 
 
-def _missing(sources: Sources, names: Sequence[str]) -> list[str]:
-    there = sources.there(names)
-    return [sources.missing(name) for name in names if name not in there]
+def kinds_under(scheme: SplitScheme) -> list[Kind]:
+    """The reports that there are under a scheme: all under the paper's, and else those that a split decides."""
+    return [kind for kind in KINDS.values() if kind.by_split or scheme is SplitScheme.SCENE]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,19 +72,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     about, _, more = (__doc__ or "").partition("\n")
     parser = argparse.ArgumentParser(prog="python -m reports.all", description=about, epilog=more.rpartition("\n\n")[2])
     parser.add_argument("release", type=Path, help="folder of a release")
+    parser.add_argument("--split", default=SplitScheme.SCENE.value, help=f"one of {', '.join(scheme.value for scheme in SplitScheme)}")
     parser.add_argument("--predictions", type=Path, metavar="DIR", help="folder of the tables about it")
-    parser.add_argument("--out", type=Path, help="folder for the reports (reports/out/TIER)")
+    parser.add_argument("--out", type=Path, help="folder for the reports (reports/out/TIER, or reports/out/TIER/SCHEME)")
     chosen = parser.parse_args(arguments)
     try:
-        release = Release.open(chosen.release)
+        scheme, release = scheme_named(chosen.split), Release.open(chosen.release)
     except PlaceBenchError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     tier = release.manifest.tier
-    out = chosen.out or Path("reports/out") / tier
-    rendered = render_all(Sources(release, chosen.predictions or folder_beside(chosen.release, tier)), out)
+    out = chosen.out or Path("reports/out", tier, *([] if scheme is SplitScheme.SCENE else [scheme.value]))
+    rendered = render_all(Sources(release, chosen.predictions or folder_beside(chosen.release, tier, scheme), scheme=scheme), out)
     rest = [f"{name.replace('_', ' ')}: {', '.join(names)}" for name in ("left_out", "failed") if (names := getattr(rendered, name))]
-    print("; ".join([f"{len(rendered.made)} of {len(KINDS)} reports in {out}", *rest]))
+    print("; ".join([f"{len(rendered.made)} of {len(kinds_under(scheme))} reports in {out}", *rest]))
     return 1 if rendered.failed else 0
 
 

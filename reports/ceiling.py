@@ -100,12 +100,12 @@ def _about(outcomes: pl.DataFrame, n_replicates: object) -> str:
     return (
         f"Every planned candidate of the test split, {outcomes.height:,}, was executed {n_replicates} more times under small real"
         " uncertainty that the plan does not know: friction ±10 %, mass ±5 %, where the object lies in the hand ±1 mm and ±1° on every"
-        " axis, the start of each motion ±1 control step. **S1** is of the stored labels, on covered groups, as everywhere. **Robust S1** is the"
-        " mean success over the replicates of what a policy tries first; a first choice without a plan has none. The **ceiling** is what"
-        " the best candidate of a group is worth: chosen on all replicates but one and judged on that one, each held out in turn, so that"
-        " luck is not counted as merit. It is what a policy gets that has seen each candidate executed that often, so one that knows more"
-        " may pass it by a little. The oracle knows the stored labels and nothing else."
-        f" Intervals are 95 %, resampled by scene and training; none below {MIN_SCENES} scenes."
+        " axis, the start of each motion ±1 control step. **S1** is of the stored labels, on covered groups, as everywhere. **Robust"
+        " S1** is the mean success over the replicates of what a policy tries first; a first choice without a plan has none. The"
+        " **ceiling** is what the best candidate of a group is worth: chosen on all replicates but one and judged on that one, each held"
+        " out in turn, so that luck is not counted as merit. It is what a policy gets that has seen each candidate executed that often,"
+        " so one that knows more may pass it by a little. The oracle knows the stored labels and nothing else. Intervals are 95 %,"
+        f" resampled by scene and training; none below {MIN_SCENES} scenes."
     )
 
 

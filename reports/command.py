@@ -13,13 +13,12 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from model.settings import SCHEME_OF_PREDICTIONS, scheme_named
+from model.settings import scheme_named
 from reports.load import check_parts, load_release
-from reports.report import Report, ReportError
+from reports.predictions import read_predictions
+from reports.report import Report
 from splits.manifest import read_manifest
 from tables.errors import PlaceBenchError
-from tables.schemas import PREDICTIONS
-from tables.store import join_tables, read_sidecar, read_table
 from tables.vocabulary import Split, SplitScheme
 
 
@@ -77,17 +76,3 @@ def report_command(
         return 1
     print(report.markdown)
     return 0
-
-
-def read_predictions(paths: Sequence[Path], scheme: SplitScheme) -> pa.Table | None:
-    """Predictions of one or several files as one table; None without files.
-
-    Raises:
-        ReportError: predictions of rankers that were trained under another scheme: they may have been trained on its test scenes.
-        StoreError: a file that is missing, changed or no table of predictions.
-    """
-    for path in paths:
-        trained = read_sidecar(path).made_from.get(SCHEME_OF_PREDICTIONS, SplitScheme.SCENE.value)
-        if trained != scheme.value:
-            raise ReportError(f"{path}: of rankers that were trained under split {trained!r}, must be {scheme.value!r} as --split says")
-    return join_tables(PREDICTIONS, [read_table(PREDICTIONS, path, verify=True) for path in paths]) if paths else None

@@ -16,7 +16,7 @@ from pathlib import Path
 import polars as pl
 import pyarrow as pa
 
-from model.settings import SCHEME_OF_PREDICTIONS, scheme_named
+from model.settings import scheme_named
 from pipelines.frames import frame_of
 from reports.calibration import calibration_section
 from reports.entries import FIRST_RANK, Entry, entries_of, entry_of, flat, hard_groups, random_first_rank, random_mean, shown_rank
@@ -31,7 +31,6 @@ from reports.submission import Submission, read_submission
 from splits.markdown import percent, table
 from splits.release_reader import Release
 from tables.errors import PlaceBenchError
-from tables.store import read_sidecar
 from tables.vocabulary import Split, SplitScheme
 
 SUBMISSION = Policy("submission", "**Submission**", (-pl.col("score"),), variant="submission")
@@ -214,14 +213,6 @@ def _calibration(inputs: _Inputs) -> tuple[list[str], dict[str, float]]:
     return ["## Calibration", *section], metrics
 
 
-def committed_predictions(sources: Sources, scheme: SplitScheme) -> pa.Table | None:
-    """The predictions that lie beside a release, where they are of rankers trained under the scheme; None where there are none."""
-    if not sources.there(["predictions"]):
-        return None
-    trained = read_sidecar(sources.path("predictions")).made_from.get(SCHEME_OF_PREDICTIONS, SplitScheme.SCENE.value)
-    return sources.table("predictions") if trained == scheme.value else None
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line: 0, or 1 with one line on standard error where the release or the predictions are not what they should be."""
     about, _, more = (__doc__ or "").partition("\n")
@@ -239,11 +230,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         check_parts(tables, scheme, (Split.TEST,))
         candidates = release.candidates.select("candidate_id", pl.col(scheme.column).alias("split"))
         submission = read_submission(options.predictions, candidates, manifest.release_hash, scheme)
-        sources = Sources(release, options.beside or folder_beside(options.release, manifest.tier))
+        sources = Sources(release, options.beside or folder_beside(options.release, manifest.tier, scheme), scheme=scheme)
+        committed = sources.table("predictions") if sources.there(["predictions"]) else None
         title = f"{manifest.tier} {manifest.version} ({manifest.release_hash[:12]})"
-        report = evaluation_report(
-            tables, submission, committed_predictions(sources, scheme), release=title, seed=sources.seed, scheme=scheme
-        )
+        report = evaluation_report(tables, submission, committed, release=title, seed=sources.seed, scheme=scheme)
         if options.out is not None:
             report.write(options.out)
     except PlaceBenchError as error:

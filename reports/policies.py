@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import polars as pl
 import pyarrow as pa
 
-from pipelines.frames import frame_of
 from reports.load import Task
+from reports.predictions import seeds_of_variants, with_score
 from reports.report import ReportError
 
 
@@ -97,15 +97,12 @@ def with_predictions(frame: pl.DataFrame, predictions: pl.DataFrame, variant: st
     own = predictions.filter((pl.col("variant") == variant) & (pl.col("seed") == seed)).drop("variant", "seed")
     if own.is_empty():
         raise ReportError(f"predictions: 0 rows of variant {variant!r}, seed {seed}, must be at least 1")
-    return frame.join(own, on="candidate_id", how="left").sort("candidate_id")
+    return frame.join(with_score(own), on="candidate_id", how="left").sort("candidate_id")
 
 
 def prediction_seeds(predictions: pa.Table | None, variant: str) -> list[int]:
     """Training seeds of a variant, sorted; none without predictions."""
-    if predictions is None:
-        return []
-    frame = frame_of(predictions, ["variant", "seed"])
-    return sorted(frame.filter(pl.col("variant") == variant)["seed"].unique().to_list())
+    return [] if predictions is None else seeds_of_variants(predictions).get(variant, [])
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,17 +15,16 @@ from pipelines.frames import frame_of
 from reports import paper
 from reports.command import Asked, report_command
 from reports.core_time import core_time_section
-from reports.figures import LadderBar, funnel_figure, ladder_figure, shares_figure, status_figure
+from reports.figures import LadderBar, ladder_figure, shares_figure
 from reports.load import Task, candidate_frame, group_frame, of_scheme, scheme_note
 from reports.metrics import Estimate, coverage, group_ranks, proportion
+from reports.outcomes import outcomes_section, share_of
 from reports.policies import POLICIES, RANDOM, ranked
 from reports.ranking import KS, TASK_TITLE, rank_groups, timing_frame
 from reports.report import Report
 from reports.split_sizes import size_rows, splits_figure
-from splits.markdown import count, percent, share, table
-from tables.vocabulary import AdmissionStatus, Category, ExecStatus, LiftStatus, PlanStatus, SplitScheme
-
-MIN_LIFTED_SHARE = 0.75  # of an object's admitted grasps; a pool that lifts less asks for a reason
+from splits.markdown import count, percent, table
+from tables.vocabulary import AdmissionStatus, Category, LiftStatus, SplitScheme
 
 _UNLEARNED = tuple(policy for policy in POLICIES if not policy.is_learned)
 
@@ -45,7 +44,7 @@ def profile_report(tables: Mapping[str, pa.Table], *, tier: str, seed: int, sche
     grasps = grasps.join(groups[Task.JOINT].select("scene_id", "category"), on="scene_id")
     timings = timing_frame(tables)
     sizes, metrics = _sizes(frame, groups, grasps, scheme)
-    outcomes, figures = _outcomes(frame, grasps, tier)
+    outcomes, figures = outcomes_section(frame, grasps, tier)
     covered, covered_metrics, covered_figure = _coverage(frame, groups, tier)
     ladder, ladder_metrics, ladder_png = _ladder(frame, timings, tier)
     costs, cost_metrics = core_time_section(timings, frame.height)
@@ -105,98 +104,6 @@ def _sizes(
     return table(["", "ours", "paper"], rows), metrics
 
 
-def _outcomes(frame: pl.DataFrame, grasps: pl.DataFrame, tier: str) -> tuple[list[str], dict[str, bytes]]:
-    admitted = grasps.filter(pl.col("admission_status") == AdmissionStatus.ADMITTED.value)
-    lifted = admitted.filter(pl.col("lift_status") == LiftStatus.LIFTED.value)
-    planned = frame.filter("y_plan")
-    stages = [
-        ("pool grasps in scenes", grasps.height, "grasps"),
-        ("admitted", admitted.height, "grasps"),
-        ("lifted", lifted.height, "grasps"),
-        ("with every target", frame.height, "candidates"),
-        ("planned", planned.height, "candidates"),
-        ("success", int(frame["success"].sum()), "candidates"),
-    ]
-    blocks = ["## Outcomes", f"![What is left after each stage of {tier}](profile-funnel.png)"]
-    figures = {"profile-funnel": funnel_figure(stages, f"From grasps to successes, {tier}")}
-    for column, statuses, good, rows, of in (
-        ("admission_status", AdmissionStatus, AdmissionStatus.ADMITTED, grasps, "pool grasps in scenes"),
-        ("lift_status", LiftStatus, LiftStatus.LIFTED, admitted, "admitted grasps"),
-        ("plan_status", PlanStatus, PlanStatus.SOLVED, frame, "candidates"),
-        ("exec_status", ExecStatus, ExecStatus.SUCCESS, planned, "planned candidates"),
-    ):
-        names = [status.value for status in statuses]
-        counts = _status_counts(rows, column)
-        blocks.append(f"### `{column}` of {of}")
-        blocks.append(_status_table(counts, column, names))
-        stem = f"profile-{column}"
-        figures[stem] = status_figure(counts, names, good.value, f"{column} of {of}, {tier}")
-        blocks.append(f"![{column} by category]({stem}.png)")
-    return [*blocks, "### By object", *_hard_to_lift(admitted), _objects_table(frame, grasps)], figures
-
-
-def _status_counts(rows: pl.DataFrame, column: str) -> dict[str, dict[str, int]]:
-    """Number of each status, all together and by category."""
-    counts = {"all": dict(rows.group_by(column).len().iter_rows())}
-    for category in Category:
-        own = rows.filter(pl.col("category") == category.value)
-        if not own.is_empty():
-            counts[category.value] = dict(own.group_by(column).len().iter_rows())
-    return counts
-
-
-def _status_table(counts: Mapping[str, Mapping[str, int]], column: str, statuses: Sequence[str]) -> str:
-    totals = {label: sum(row.values()) for label, row in counts.items()}
-    rows = [[f"`{status}`", *(share(row.get(status, 0), totals[label]) for label, row in counts.items())] for status in statuses]
-    failed = [sum(n for status, n in row.items() if status != statuses[0]) for row in counts.values()]
-    if column == "exec_status":
-        rows.append(["*any failure*", *(share(n, total) for n, total in zip(failed, totals.values(), strict=True))])
-    return table([column, *(f"{label} ({total:,})" for label, total in totals.items())], rows)
-
-
-def _objects_table(frame: pl.DataFrame, grasps: pl.DataFrame) -> str:
-    rows: list[list[object]] = []
-    for object_id in sorted(grasps["object_id"].unique()):
-        own = grasps.filter(pl.col("object_id") == object_id)
-        admitted = own.filter(pl.col("admission_status") == AdmissionStatus.ADMITTED.value)
-        candidates = frame.filter(pl.col("object_id") == object_id)
-        planned = candidates.filter("y_plan")
-        rows.append(
-            [
-                f"`{object_id}`",
-                own["scene_id"].n_unique(),
-                f"{admitted.height / max(1, own['scene_id'].n_unique()):.1f}",
-                percent(_share_of(admitted, pl.col("lift_status") == LiftStatus.LIFTED.value)),
-                _reasons(admitted.filter(pl.col("lift_status") != LiftStatus.LIFTED.value), "lift_status"),
-                count(candidates.height),
-                percent(_share_of(candidates, pl.col("y_plan"))),
-                percent(_share_of(planned, pl.col("success"))),
-            ]
-        )
-    return table(
-        ["object", "scenes", "admitted a scene", "lifted of admitted", "others", "candidates", "planned", "success of planned"], rows
-    )
-
-
-def _hard_to_lift(admitted: pl.DataFrame) -> list[str]:
-    """Objects whose grasps do not lift as a roboticist would expect."""
-    lifted = (pl.col("lift_status") == LiftStatus.LIFTED.value).mean()
-    shares = admitted.group_by("object_id").agg(lifted.alias("lifted")).filter(pl.col("lifted") < MIN_LIFTED_SHARE).sort("object_id")
-    names = ", ".join(f"`{name}` ({percent(share_lifted)})" for name, share_lifted in shares.iter_rows())
-    text = f"Below {percent(MIN_LIFTED_SHARE)} of admitted grasps lifted: {names}. The card in `objects/catalogue.toml` says why."
-    return [text] if names else []
-
-
-def _reasons(rows: pl.DataFrame, column: str) -> str | None:
-    """How often each status occurs, the most frequent first."""
-    counts = rows.group_by(column).len().sort(["len", column], descending=[True, False]).rows()
-    return ", ".join(f"`{status}` {n}" for status, n in counts) or None
-
-
-def _share_of(frame: pl.DataFrame, what: pl.Expr) -> float | None:
-    return frame.filter(what).height / frame.height if frame.height else None
-
-
 def _coverage(frame: pl.DataFrame, groups: Mapping[Task, pl.DataFrame], tier: str) -> tuple[list[str], dict[str, float], bytes]:
     metrics: dict[str, float] = {}
     ranks = {task: group_ranks(ranked(frame, RANDOM, task), task) for task in Task}
@@ -252,7 +159,7 @@ def _parts(frame: pl.DataFrame, groups: pl.DataFrame, ranks: pl.DataFrame, task:
         own = frame.filter(pl.col(column) == value)
         planned = own.filter("y_plan")
         covered = coverage(asked, ranks.join(asked.select(task.group), on=task.group), task)
-        parts[value] = (covered, percent(_share_of(own, pl.col("y_plan"))), percent(_share_of(planned, pl.col("success"))))
+        parts[value] = (covered, percent(share_of(own, pl.col("y_plan"))), percent(share_of(planned, pl.col("success"))))
     return parts
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pyarrow as pa
 
 from pipelines.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from pipelines.running.data_root import DataRoot
+from reports.load import Task
+from reports.predictions import check_scheme, seeds_of_variants
 from reports.report import ReportError
 from splits.release_folder import left_out_error
 from splits.release_reader import Release
@@ -17,6 +19,7 @@ from tables.columns import TableSchema
 from tables.identity import family_of_tier
 from tables.schemas import ATTEMPTS, AUDITS, PREDICTIONS, TEST_REPLICATES, TIMINGS
 from tables.store import read_sidecar, read_table
+from tables.vocabulary import SplitScheme
 
 # Made from a release, so after it and beside it: names of the files, and their tables. `attempts` may be in the release too; those of the
 # folder are the newer ones.
@@ -38,11 +41,15 @@ class Sources:
 
     Attributes:
         recipe_path: the recipe of this checkout; films need the one that made the release.
+        scheme: by what scenes are dealt to the splits; predictions must be of rankers that were trained under it.
     """
 
     release: Release
     beside: Path
     recipe_path: Path = DEFAULT_RECIPE
+    scheme: SplitScheme = SplitScheme.SCENE
+    # Several reports read predictions, which are large and checked value by value.
+    _read: dict[str, pa.Table] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def tier(self) -> str:
@@ -70,14 +77,22 @@ class Sources:
         Raises:
             ReleaseError: a table that the release does not have, leaves out, or holds otherwise than listed.
             StoreError: a file of the folder that is missing or damaged.
-            ReportError: a table about another release.
+            ReportError: a table about another release, or predictions of rankers that were trained under another split.
         """
         if name not in BESIDE or (not self.path(name).exists() and self._is_released(name)):
             return self.release.table(name)
+        if name not in self._read:
+            self._read[name] = self._read_beside(name)
+        return self._read[name]
+
+    def _read_beside(self, name: str) -> pa.Table:
         path = self.path(name)
-        of = read_sidecar(path).made_from.get("release")
+        made_from = read_sidecar(path).made_from
+        of = made_from.get("release")
         if of not in (None, self.release.manifest.release_hash):
             raise ReportError(f"{path}: about release {str(of)[:12]}, must be about {self.release.manifest.release_hash[:12]}")
+        if BESIDE[name] is PREDICTIONS:
+            check_scheme(path, made_from, self.scheme)
         return read_table(BESIDE[name], path, verify=True)
 
     def tables(self, names: Iterable[str]) -> dict[str, pa.Table]:
@@ -88,14 +103,37 @@ class Sources:
         """Those of some tables that there are."""
         return [name for name in names if self._is_released(name) or (name in BESIDE and self.path(name).exists())]
 
-    def missing(self, name: str) -> str:
-        """Why a table is not there, naming its file and the command that makes it again where there is one."""
+    def missing(self, name: str, parts: Sequence[str] = ()) -> str:
+        """What is not there of a table, naming its file and the command that makes it again where there is one; "" where all is.
+
+        Args:
+            parts: what the table must hold: variants of `predictions` and `tree_predictions`, tasks of `decision_times`.
+
+        Raises:
+            StoreError, ReportError: the table is there, but `table` does not take it.
+        """
+        if self.there([name]):
+            lacking = self._lacking(name, parts) if parts else []
+            return f"{self.path(name)} is there without {', '.join(lacking)}" if lacking else ""
         if name in BESIDE:
             return f"{self.path(name)} is missing"
         path = self.release.directory / f"{name}.parquet"
         if name in self.release.left_out:
             return f"{path} is missing: {left_out_error(self.release.directory, name)}"
         return f"{path} is missing: the release has no such table"
+
+    def _lacking(self, name: str, parts: Sequence[str]) -> list[str]:
+        """Parts that a table has no row of; of rankers also the seeds that one has not and another has."""
+        table = self.table(name)
+        if BESIDE[name] is not PREDICTIONS:
+            found = {Task.FIXED if "-t" in item else Task.JOINT for item in table["item_id"].to_pylist()}
+            return [f"task {part}" for part in parts if Task(part) not in found]
+        seeds = {variant: set(own) for variant, own in seeds_of_variants(table).items() if variant in parts}
+        every = sorted(set().union(*seeds.values()))
+        lacking = {part: [str(seed) for seed in every if seed not in seeds.get(part, set())] for part in parts}
+        return [
+            part if part not in seeds else f"{part} of seed {', '.join(own)}" for part, own in lacking.items() if own or part not in seeds
+        ]
 
     def path(self, name: str) -> Path:
         """Where a table about the release lies."""
@@ -105,8 +143,12 @@ class Sources:
         return name in self.release.manifest.tables and name not in self.release.left_out
 
 
-def folder_beside(directory: Path, tier: str) -> Path:
-    """Where the tables about a release of a data folder lie: those shipped with it if there are any, else those of the last build."""
+def folder_beside(directory: Path, tier: str, scheme: SplitScheme = SplitScheme.SCENE) -> Path:
+    """Where the tables about a release of a data folder lie: those shipped with it if there are any, else those of the last build.
+
+    Those of another split than the paper's lie in a folder of its name below them.
+    """
     root = DataRoot(directory.resolve().parent.parent)
     shipped, built = root.predictions(tier), root.tier_table(tier, "predictions").parent
-    return built if built.is_dir() and not shipped.is_dir() else shipped
+    folder = built if built.is_dir() and not shipped.is_dir() else shipped
+    return folder if scheme is SplitScheme.SCENE else folder / scheme.value

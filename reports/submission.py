@@ -72,7 +72,8 @@ def read_submission(path: Path, candidates: pl.DataFrame, release_hash: str, sch
     values = {name: table[name].to_numpy() for kind in kinds for name in kind}
     for name, column in values.items():
         _check_numbers(path, name, column, ids)
-    frame = pl.DataFrame({ID: ids, "score": _score(values)})
+    is_single = all(pa.types.is_float32(schema.field(name).type) for name in LOG_P) if LOG_P in kinds else False
+    frame = pl.DataFrame({ID: ids, "score": _score(values, is_single)})
     if LOG_P in kinds:
         frame = frame.with_columns(**{name: pl.Series(np.exp(values[f"log_{name}"])) for name in P})
     elif P in kinds:
@@ -206,8 +207,14 @@ def _refuse(
         raise ReportError(f"{path}: {column} is {value} at {ids[first]} ({len(wrong)} values {what})")
 
 
-def _score(values: Mapping[str, Float[np.ndarray, "n"]]) -> Float[np.ndarray, "n"]:
-    """What orders: the score as given, else the probability of success or its logarithm."""
+def _score(values: Mapping[str, Float[np.ndarray, "n"]], is_single: bool) -> Float[np.ndarray, "n"]:
+    """What orders: the score as given, else the probability of success or its logarithm.
+
+    Logarithms of 32 bits are added in 32 bits, as our own are: what is tied to whoever made them is tied here.
+    """
     if "score" in values:
         return values["score"]
-    return values["log_p_plan"] + values["log_p_exec"] if "log_p_plan" in values else values["p_plan"] * values["p_exec"]
+    if "log_p_plan" not in values:
+        return values["p_plan"] * values["p_exec"]
+    plan, execution = (values[name].astype(np.float32 if is_single else np.float64) for name in LOG_P)
+    return (plan + execution).astype(np.float64)

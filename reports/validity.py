@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from pipelines.codecs import Row
 from pipelines.proofs.validity.changes import FRICTION, Change
-from pipelines.proofs.validity.criteria import BESIDE, CRITERIA, Criterion
+from pipelines.proofs.validity.criteria import BESIDE, CRITERIA, Criterion, measured_by
 from pipelines.proofs.validity.flips import TELLING_SLIP_MM, flips_of, goes_right_way
 from pipelines.proofs.validity.running import StudyResult
 from reports.metrics import clopper_pearson
@@ -36,38 +36,50 @@ _DEFINITIONS = (
 
 @dataclass(frozen=True, slots=True)
 class ValidityReport:
-    """The report as text and as numbers; `is_valid` where every number was measured and is within its bounds."""
+    """The report as text and as numbers.
+
+    Attributes:
+        left_out: studies that were not run, whose numbers are not among these.
+        holds: whether every number that these studies measure is there and within its bounds.
+    """
 
     markdown: str
     numbers: Mapping[str, float | None]
-    is_valid: bool
+    left_out: tuple[str, ...]
+    holds: bool
 
     @property
     def json(self) -> str:
-        """The numbers by key, null where one was not measured."""
-        return json.dumps(dict(self.numbers), indent=2, sort_keys=True, allow_nan=False) + "\n"
+        """The numbers by key, null where one was not measured; of a partial run also which studies are left out."""
+        content = {**self.numbers, **({"left_out": list(self.left_out)} if self.left_out else {})}
+        return json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n"
 
 
-def validity_report(numbers: Mapping[str, float | None], results: Sequence[StudyResult], origin: Mapping[str, str]) -> ValidityReport:
+def validity_report(
+    numbers: Mapping[str, float | None], results: Sequence[StudyResult], origin: Mapping[str, str], left_out: Sequence[str] = ()
+) -> ValidityReport:
     """Report `validity`.
 
     Args:
-        numbers: of every criterion and its count, None where it was not measured.
-        results: of the studies, for what went wrong and for the flips.
+        numbers: of every criterion of the studies that ran and its count, None where it was not measured.
+        results: of these studies, for what went wrong and for the flips.
         origin: what the numbers were made from, shown as it is; `tier` is in the title.
+        left_out: names of the studies that were not run.
     """
-    verdicts = {criterion.key: _verdict(criterion, numbers) for criterion in CRITERIA}
+    names = [result.name for result in results]
+    criteria, beside = measured_by(CRITERIA, names), measured_by(BESIDE, names)
+    verdicts = {criterion.key: _verdict(criterion, numbers) for criterion in criteria}
     n_hold = sum(verdict == "yes" for verdict in verdicts.values())
-    missing = [criterion for criterion in (*CRITERIA, *BESIDE) if numbers[criterion.key] is None]
-    failed = [criterion.key for criterion in CRITERIA if verdicts[criterion.key] == "no"]
+    missing = [criterion for criterion in (*criteria, *beside) if numbers[criterion.key] is None]
+    failed = [criterion.key for criterion in criteria if verdicts[criterion.key] == "no"]
     blocks = [
-        f"# Validity of the held object's engine on tier {origin['tier']}",
-        f"{n_hold} of {len(CRITERIA)} numbers are within their bounds"
+        f"# Validity of the held object's engine on tier {origin['tier']}" + (f", only {', '.join(names)}" if left_out else ""),
+        *_partial(criteria, left_out),
+        f"{n_hold} of {len(criteria)} numbers{' of these studies' if left_out else ''} are within their bounds"
         + (f"; outside: {', '.join(f'`{key}`' for key in failed)}" if failed else "")
         + (f"; {sum(verdict == NOT_MEASURED for verdict in verdicts.values())} {NOT_MEASURED}." if missing else "."),
-        _table(CRITERIA, numbers, verdicts),
-        "## Beside them",
-        _table(BESIDE, numbers, {}),
+        _table(criteria, numbers, verdicts),
+        *(["## Beside them", _table(beside, numbers, {})] if beside else []),
         *(_not_measured(missing, results) if missing or any(result.problem for result in results) else []),
         *_faults(results),
         *_flips(results),
@@ -77,7 +89,16 @@ def validity_report(numbers: Mapping[str, float | None], results: Sequence[Study
         table(["what", "which"], [[name, f"`{value}`"] for name, value in origin.items()], align="ll"),
         table(["study", "rows", "core-s in this run"], [[r.name, count(len(r.rows)), f"{r.core_s:.0f}"] for r in results]),
     ]
-    return ValidityReport("\n\n".join(blocks) + "\n", numbers, n_hold == len(CRITERIA))
+    return ValidityReport("\n\n".join(blocks) + "\n", numbers, tuple(left_out), n_hold == len(criteria))
+
+
+def _partial(criteria: Sequence[Criterion], left_out: Sequence[str]) -> list[str]:
+    """What a run of some studies says nothing about."""
+    if not left_out:
+        return []
+    names, untested = ", ".join(f"`{name}`" for name in left_out), ", ".join(f"`{c.key}`" for c in CRITERIA if c not in criteria)
+    text = f"> **A partial run.** Left out: {names}. So nothing is said here of {untested or 'what they show beside the bounds'}"
+    return [text + "; `solver_faults` counts the runs of these studies only, beside what the release stores."]
 
 
 def _verdict(criterion: Criterion, numbers: Mapping[str, float | None]) -> str:

@@ -14,7 +14,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +64,7 @@ def rebuild(directory: Path, name: str, n_workers: int = 1, recipe_path: Path = 
         log(f"{name}: there already")
         return
     stage, recipe = _STAGE_OF[name], load_recipe(family_of_tier(release.manifest.tier), recipe_path)
-    _check_origin(release.manifest, stage, recipe)
+    check_origin(release.manifest, [stage], recipe)
     root = DataRoot(directory.resolve().with_name(f".{directory.resolve().name}.rebuild"))
     shards = _make_shards(release, stage, recipe, root, n_workers, log)
     made = {s.name: read_tables(s, [root.shard_table(shard, s.name) for shard in shards], of=shards) for s in stage.outputs}
@@ -76,10 +76,10 @@ def rebuild(directory: Path, name: str, n_workers: int = 1, recipe_path: Path = 
     log(f"{name}: {made[name].num_rows:,} rows, content hash {release.manifest.tables[name].content_hash[:12]} as in the manifest")
 
 
-def _check_origin(manifest: Manifest, stage: Stage, recipe: Recipe) -> None:
-    """Raise ReleaseError where recipe or stage are not those that made the release: minutes later the hash would only say no."""
+def check_origin(manifest: Manifest, stages: Sequence[Stage], recipe: Recipe) -> None:
+    """Raise ReleaseError where recipe or stages are not those that made the release: minutes later the hash would only say no."""
     stated = manifest.provenance
-    for key, own in (("recipe_hash", recipe.hash_of()), (f"code.{stage.name}", stage.code_version)):
+    for key, own in (("recipe_hash", recipe.hash_of()), *((f"code.{stage.name}", stage.code_version) for stage in stages)):
         if stated.get(key) != own:
             found = str(stated.get(key))[:12]
             commit = stated.get("git_commit", "unknown")
@@ -149,13 +149,13 @@ def _check_outcome(release: Release, name: str, made: Mapping[str, pa.Table]) ->
     if found != entry.content_hash:
         raise ReleaseError(
             f"{name} made again: content hash {found[:12]} of {made[name].num_rows} rows, manifest says {entry.content_hash[:12]}"
-            f" of {entry.rows}{_other_engines(release.manifest, _STAGE_OF[name])}; nothing was put into the release"
+            f" of {entry.rows}{other_engines(release.manifest, _STAGE_OF[name].engines)}; nothing was put into the release"
         )
 
 
-def _other_engines(manifest: Manifest, stage: Stage) -> str:
+def other_engines(manifest: Manifest, engines: Iterable[str]) -> str:
     """Engines of another version than those that made the release: the first thing to suspect."""
-    installed = library_versions(stage.engines)
+    installed = library_versions(engines)
     other = [f"{name} {manifest.libraries.get(name)}, here {own}" for name, own in installed.items() if manifest.libraries.get(name) != own]
     return f" (made with {'; '.join(other)})" if other else ""
 

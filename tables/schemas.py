@@ -193,8 +193,9 @@ AUDITS = TableSchema("audits", "planning labels checked again by an independent 
 
 PREDICTIONS = TableSchema("predictions", "what a trained ranker says of every candidate", ("variant", "seed", "candidate_id"), (
     text("variant", "full, direct, no_object_relative or no_target_hypothesis; trees or trees_poses of the probe"), integer("seed", "training seed"), _CANDIDATE_ID,
-    real("log_p_plan", "log probability that a plan exists"), real("log_p_exec", "log probability of success given a plan"), real("score", "ranking score: their sum"),
-))
+    single("log_p_plan", "log probability that a plan exists"),
+    single("log_p_exec", "log probability of success given a plan; the ranking score is the sum of both, in 32 bits too"),
+), since="2.2.0")
 
 TEST_REPLICATES = TableSchema("test_replicates", "planned candidates of the test split executed again under small real uncertainty", ("candidate_id", "replicate"), (
     _CANDIDATE_ID, integer("replicate", "number of the replicate; what is drawn follows from it and the id"),

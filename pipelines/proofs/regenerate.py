@@ -1,4 +1,6 @@
-"""Rebuilds one scene or one candidate from its id alone and compares every row with what is stored.
+"""Rebuilds one scene or one candidate from its id alone and compares every row with what is stored in the shards of a data folder.
+
+Scenes of a release are compared by splits.regenerate.
 
 `python -m pipelines.regenerate full-0042` or `python -m pipelines.regenerate full-0042-t3-g17`
 """
@@ -12,7 +14,7 @@ from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
 
-from objects.build import build_object_models
+from objects.build import build_object, build_object_models, object_models_of
 from objects.catalogue import catalogue_order, load_catalogue
 from objects.object_model import ObjectModel
 from pipelines.codecs import Row, known_in, rows_by_scene
@@ -22,7 +24,7 @@ from pipelines.scenes.allocation import scene_allocation
 from pipelines.stages import STAGES
 from pipelines.values import SceneAllocation
 from tables.identity import CandidateId, IdentityError, parse_candidate_id, parse_scene_id, shard_of_scene
-from tables.schemas import ALL_SCHEMAS
+from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES
 from tables.store import StoreError, content_hash, table_from_rows
 
 
@@ -65,6 +67,20 @@ def regenerate(
     if candidate and not any(row["candidate_id"] == name for row in rows["planning_labels"]):
         raise IdentityError(f"{name}: grasp {candidate.grasp_id} is not among the lifted grasps of {scene_id}")
     return [_comparison(table, some, root, scene_id, candidate) for table, some in rows.items()]
+
+
+def rows_of_scene(scene_id: str, recipe_path: Path = DEFAULT_RECIPE) -> dict[str, list[Row]]:
+    """All rows of a scene by table, and those of its object in the object tables, from catalogue and recipe alone.
+
+    Raises:
+        IdentityError: no such scene.
+    """
+    recipe = load_recipe(parse_scene_id(scene_id)[0], recipe_path)
+    allocation = scene_allocation(scene_id, catalogue_order())
+    (spec,) = (spec for spec in load_catalogue() if spec.object_id == allocation.object_id)
+    built = build_object(spec, recipe.objects, recipe.seed)
+    rows = _make_rows(recipe, object_models_of([built])[spec.object_id], allocation, None)
+    return {name: getattr(built, name) for name in OBJECT_TABLES} | rows
 
 
 def _make_rows(

@@ -57,8 +57,7 @@ def write_made_up_tables(root: DataRoot) -> None:
     labels = ("candidate_id", "plan_status", "exec_status", "final_position_error_m", "final_rotation_error_rad")
     rows = {
         "predictions": [
-            {"variant": "full", "seed": 42, "candidate_id": name, "log_p_plan": x, "log_p_exec": x, "score": 2 * x}
-            for name, x in score.items()
+            {"variant": "full", "seed": 42, "candidate_id": name, "log_p_plan": x, "log_p_exec": x} for name, x in score.items()
         ],
         "attempts": [
             {name: row[name] for name in labels}

@@ -122,7 +122,7 @@ def test_another_recipe_or_stage_is_refused_before_any_work(
     content["provenance"]["code.scene_points"] = "0"
     write_signed(light, content)
     with pytest.raises(command.ReleaseError, match=r"code\.scene_points of the release is 0, of this code "):
-        command._check_origin(read_manifest(light), command._STAGE_OF["scene_points"], command.load_recipe(TIER, recipe))
+        command.check_origin(read_manifest(light), [command._STAGE_OF["scene_points"]], command.load_recipe(TIER, recipe))
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -9,12 +10,12 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from assets_def.validity import validity
+from assets_def.validity import report_path, validity
 from pipelines.decoded import Decoded
-from pipelines.proofs.validity.criteria import BESIDE, CRITERIA
+from pipelines.proofs.validity.criteria import BESIDE, CRITERIA, measured_by
 from pipelines.proofs.validity.flips import flips_study
 from pipelines.proofs.validity.pull_out import torsion_study
-from pipelines.proofs.validity.studies import numbers_of, run_studies
+from pipelines.proofs.validity.studies import STUDIES, numbers_of, run_studies
 from pipelines.proofs.validity.subject import Sizes, Subject
 from reports.validity import validity_report
 from splits.errors import ReleaseError
@@ -66,6 +67,25 @@ def test_every_number_is_in_the_files_and_a_second_run_measures_nothing(
     monkeypatch.setattr("pipelines.proofs.validity.running.measured", never)
     assert validity("mini", benchmark, SIZES, QUIET).numbers == first.numbers
 
+    # Some studies are a report of their own, which says what it leaves out; the whole one stays.
+    text = (tmp_path / "reports" / "validity.md").read_text()
+    partial = validity("mini", benchmark, SIZES, QUIET, only=("torsion", "second_engine"))
+    assert partial.holds
+    assert report_path("mini", benchmark, ("second_engine", "torsion")) == tmp_path / "reports" / "validity-mini-torsion+second_engine.md"
+    own = json.loads((tmp_path / "reports" / "validity-mini-torsion+second_engine.json").read_text())
+    assert own.pop("left_out") == ["hold_creep", "hold_creep_elsewhere", "pull_out", "loads", "flips", "lifts"]
+    criteria = measured_by((*CRITERIA, *BESIDE), ("torsion", "second_engine"))
+    assert own.keys() == {name for criterion in criteria for name in (criterion.key, criterion.count_key)}
+    assert {key: value for key, value in own.items() if not key.endswith("solver_faults")}.items() < written.items()
+    assert own["n_solver_faults"] < written["n_solver_faults"]
+    told = (tmp_path / "reports" / "validity-mini-torsion+second_engine.md").read_text()
+    assert "5 of 5 numbers of these studies are within their bounds" in told
+    untested = {criterion.key for criterion in CRITERIA} - own.keys()
+    claims = [line for line in told.splitlines() if any(f"`{key}`" in line for key in untested)]
+    assert len(untested) == 11
+    assert [line.startswith("> **A partial run.**") for line in claims] == [True]
+    assert (tmp_path / "reports" / "validity.md").read_text() == text
+
 
 def test_a_release_of_another_recipe_is_refused(built: Built, tmp_path: Path) -> None:
     benchmark = built.copy(tmp_path)
@@ -74,16 +94,30 @@ def test_a_release_of_another_recipe_is_refused(built: Built, tmp_path: Path) ->
         validity("mini", benchmark, SIZES, QUIET)
 
 
+def test_studies_have_their_names_and_every_number_has_its_study(built: Built, tmp_path: Path) -> None:
+    benchmark = built.copy(tmp_path)
+    release, recipe = Release.open(benchmark.root.release("mini")), benchmark.recipe_of_tier("mini")
+    subject = Subject(release.values, release.table("candidates"), recipe, SIZES)
+    assert [maker(subject).name for maker in STUDIES.values()] == list(STUDIES)
+    assert {criterion.study for criterion in (*CRITERIA, *BESIDE)} == {*STUDIES, ""}
+
+
+@pytest.mark.parametrize(("tier", "n"), [("mini", 150), ("pilot", 150), ("full", 300)])
+def test_full_asks_the_second_engine_twice_as_often_and_nothing_else_more(tier: str, n: int) -> None:
+    assert dataclasses.replace(Sizes.of_tier(tier), n_second_engine=150) == Sizes()
+    assert Sizes.of_tier(tier).n_second_engine == n
+
+
 def test_a_study_that_cannot_be_made_is_in_the_report(built: Built, tmp_path: Path) -> None:
     """A release without its plans: what needs them is named as not measured, with the reason."""
     benchmark = built.copy(tmp_path)
     release, recipe = Release.open(benchmark.root.release("mini")), benchmark.recipe_of_tier("mini")
     tables = {name: release.table(name) for name in release.manifest.tables if name != "plans"}
     subject = Subject(Decoded(tables), release.table("candidates"), recipe, SIZES)
-    results = run_studies(subject, tmp_path / "rows", {}, 0, makers=(flips_study, torsion_study))
+    results = run_studies(subject, tmp_path / "rows", {}, 0, makers={"flips": flips_study, "torsion": torsion_study})
     numbers = numbers_of(results, subject)
     report = validity_report(numbers, results, {"tier": "mini"})
-    assert not report.is_valid
+    assert not report.holds
     assert (numbers["half_step_flip"], numbers["n_half_step"]) == (None, 0.0)
     assert numbers["torsion_lever_ratio_max"] is not None
     assert "- study `flips`: KeyError: 'plans'" in report.markdown

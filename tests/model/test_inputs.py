@@ -44,7 +44,7 @@ def test_every_pick_lift_column_is_forbidden(small_release: Path, column: str) -
 
 
 @pytest.mark.parametrize(
-    ("table", "column"), [*(("plans", n) for n in PLANS.names if n not in _KEYS), ("timings", "core_ms"), ("predictions", "score")]
+    ("table", "column"), [*(("plans", n) for n in PLANS.names if n not in _KEYS), ("timings", "core_ms"), ("predictions", "log_p_exec")]
 )
 def test_plans_times_and_predictions_are_forbidden(table: str, column: str) -> None:
     with pytest.raises(ForbiddenColumnError, match=column):

@@ -42,8 +42,9 @@ def test_learns_what_follows_from_geometry(tmp_path: Path) -> None:
         LIGHT, n_points=128, n_centres_1=32, n_neighbours_1=8, n_centres_2=16, n_neighbours_2=8, n_epochs=12, scenes_per_batch=2
     )
     train(release, Variant.FULL, 42, settings, tmp_path / "ranker")
-    rows = pl.from_arrow(score(release, tmp_path / "ranker")).select("candidate_id", "score")
+    rows = pl.from_arrow(score(release, tmp_path / "ranker"))
     assert isinstance(rows, pl.DataFrame)
+    rows = rows.select("candidate_id", score=pl.col("log_p_plan") + pl.col("log_p_exec"))
     candidates = pl.read_parquet(release / "candidates.parquet").with_columns(pl.col("scene_id").cast(pl.String))
     splits = pl.read_parquet(release / "splits.parquet").with_columns(pl.col("scene_id", "split").cast(pl.String))
     judged = candidates.join(rows, on="candidate_id").join(splits, on="scene_id").filter(pl.col("split") == "test")
@@ -148,7 +149,8 @@ def test_best_epoch_is_chosen_by_validation_s1_then_joint_s1_then_loss(small_rel
     best = max(result.history, key=lambda row: (row["fixed_s1"], row["joint_s1"], -row["validation_loss"], -row["epoch"]))
     assert result.best_epoch == best["epoch"]
     # The stored weights are the best epoch's: scored again, they have its S1.
-    rows = {row["candidate_id"]: row["score"] for row in score(small_release, tmp_path).to_pylist()}
+    table = score(small_release, tmp_path)
+    rows = dict(zip(table["candidate_id"].to_pylist(), table["log_p_plan"].to_numpy() + table["log_p_exec"].to_numpy(), strict=True))
     inputs = read_inputs(InputReader(small_release), ["full-0003"])
     scores = np.array([rows[candidate_id] for candidate_id in inputs.candidate_ids])
     s1, n_covered = success_at_1(scores, read_labels(small_release, inputs.candidate_ids).success, inputs.candidate_group)

@@ -45,5 +45,10 @@ def predictions(release_tables: dict[str, pa.Table]) -> pa.Table:
             columns["candidate_id"] += candidates["candidate_id"].to_pylist()
             columns["log_p_plan"] += log_p[0].tolist()
             columns["log_p_exec"] += log_p[1].tolist()
-            columns["score"] += (log_p[0] + log_p[1]).tolist()
     return table_from_columns(schemas.PREDICTIONS, columns)
+
+
+def scores_of(predictions: pa.Table, variant: str, seed: int) -> dict[str, float]:
+    """Scores of one ranker by candidate, added without polars."""
+    rows = [row for row in predictions.to_pylist() if (row["variant"], row["seed"]) == (variant, seed)]
+    return {row["candidate_id"]: float(np.float32(row["log_p_plan"]) + np.float32(row["log_p_exec"])) for row in rows}

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow as pa
 import pytest
 
-from reports.all import main
+from model.settings import SCHEME_OF_PREDICTIONS
+from reports import ablation, success_at_k
+from reports.ablation import VARIANTS
+from reports.all import main, render_all
 from reports.kinds import KINDS
 from reports.sources import BESIDE, Sources
 from reports.success_at_k import success_at_k_report
@@ -17,6 +22,7 @@ from splits.release import make_light, write_release
 from splits.release_reader import Release
 from tables import schemas
 from tables.store import table_from_columns, table_from_rows, write_table
+from tables.vocabulary import SplitScheme
 from tests.model.synthetic_release import TOLERANCES
 from tests.reports.replicates import replicates_of
 from tests.splits.damage import PROVENANCE
@@ -131,6 +137,88 @@ def test_tables_about_another_release_and_damaged_ones_fail_alone(data: Path, tm
     assert "FAILED, StoreError" in lines["audit"]
     assert out.splitlines()[-1].endswith("left out: gallery; failed: audit, trees_probe")
     assert {path.stem for path in (tmp_path / "out").glob("*.md")} == set(MADE) - {"audit", "trees_probe"}
+
+
+def under(scheme: str, data: Path, folder: Path) -> Path:
+    """The predictions of both kinds as those of rankers that were trained under a scheme."""
+    sources = Sources(Release.open(data / "release" / "full"), data / "predictions" / "full")
+    for name in ("predictions", "tree_predictions"):
+        write_table(schemas.PREDICTIONS, sources.table(name), folder / f"{name}.parquet", {SCHEME_OF_PREDICTIONS: scheme}, of="full")
+    return folder
+
+
+def test_under_a_scheme_only_what_a_split_decides_is_made(
+    data: Path, release_tables: dict[str, pa.Table], predictions: pa.Table, tmp_path: Path, monkeypatch, capsys
+) -> None:
+    copied = Path(shutil.copytree(data, tmp_path / "data"))
+    under("object", data, copied / "predictions" / "full" / "object")
+    monkeypatch.chdir(tmp_path)
+    assert main([str(copied / "release" / "full"), "--split", "object"]) == 0
+    out = tmp_path / "reports" / "out" / "full" / "object"
+    decided = {"profile", "success_at_k", "ablation", "trees_probe"}
+    assert {path.stem for path in out.glob("*.md")} == decided
+    assert capsys.readouterr().out.splitlines()[-1] == "4 of 4 reports in reports/out/full/object"
+    for name in decided:
+        assert ", split `object`" in (out / f"{name}.md").read_text().splitlines()[0], name
+    expected = success_at_k_report(release_tables, predictions, tier="full", seed=42, scheme=SplitScheme.OBJECT)
+    # Decision times are measured again under another scheme: there are none here, and those of the paper's split are not shown.
+    assert (json.loads((out / "success_at_k.json").read_text())) == dict(expected.metrics)
+    assert main([str(copied / "release" / "full"), "--split", "kitchen"]) == 1
+    assert capsys.readouterr().err.startswith("error: split 'kitchen', must be one of ")
+
+
+@pytest.mark.parametrize(("trained", "asked"), [("object", "scene"), ("scene", "layout"), ("object", "layout")])
+def test_predictions_of_another_scheme_are_refused_by_every_report_alike(
+    trained: str, asked: str, data: Path, tmp_path: Path, capsys
+) -> None:
+    folder, release = under(trained, data, tmp_path / "about"), str(data / "release" / "full")
+    assert main([release, "--split", asked, "--predictions", str(folder), "--out", str(tmp_path / "out")]) == 1
+    lines = {line.partition(":")[0]: line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()}
+    for name, file in (("success_at_k", "predictions"), ("ablation", "predictions"), ("trees_probe", "tree_predictions")):
+        path = folder / f"{file}.parquet"
+        says = f"{path}: of rankers that were trained under split {trained!r}, must be {asked!r}, the split asked for"
+        assert lines[name] == f"FAILED, ReportError: {says}"
+    assert (tmp_path / "out" / "profile.md").exists()
+    path = folder / "predictions.parquet"
+    for command in (success_at_k.main, ablation.main):
+        assert command([release, "--split", asked, "--predictions", str(path)]) == 1
+        assert (
+            capsys.readouterr().err
+            == f"error: {path}: of rankers that were trained under split {trained!r}, must be {asked!r}, the split asked for\n"
+        )
+
+
+def test_a_part_that_a_small_tier_lacks_fails_alone(data: Path, tmp_path: Path, capsys) -> None:
+    folder, sources = under("layout", data, tmp_path / "about"), Sources(Release.open(data / "release" / "full"), tmp_path / "about")
+    rows = [row | {"split_layout": "train"} for row in sources.table("splits").to_pylist()]
+    sources.release._tables["splits"] = table_from_rows(schemas.SPLITS, rows)
+    rendered = render_all(Sources(sources.release, folder, scheme=SplitScheme.LAYOUT), tmp_path / "out")
+    assert (rendered.made, rendered.failed) == (("profile",), ("success_at_k", "ablation", "trees_probe"))
+    assert "splits: 0 scenes in validation of scheme layout, must be at least 1: take a larger tier" in capsys.readouterr().out
+
+
+def test_rankers_and_tasks_that_are_not_there_are_named(data: Path, tmp_path: Path, capsys) -> None:
+    folder = Path(shutil.copytree(data / "predictions" / "full", tmp_path / "about"))
+    sources = Sources(Release.open(data / "release" / "full"), folder)
+
+    def keep(name: str, is_kept: Callable[[dict], bool]) -> None:
+        rows = [row for row in sources.table(name).to_pylist() if is_kept(row)]
+        write_table(BESIDE[name], table_from_rows(BESIDE[name], rows), folder / f"{name}.parquet", of="full")
+
+    keep("predictions", lambda row: row["variant"] == "no_object_relative" or (row["variant"], row["seed"]) == ("direct", 42))
+    keep("tree_predictions", lambda row: row["variant"] == "trees")
+    assert main([str(data / "release" / "full"), "--predictions", str(folder), "--out", str(tmp_path / "out")]) == 0
+    lines = {line.partition(":")[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert lines["success_at_k"].endswith(
+        f" s; {folder / 'predictions.parquet'} is there without full; {folder / 'decision_times.parquet'} is there without task fixed"
+    )
+    assert lines["ablation"].endswith(
+        f" s; {folder / 'predictions.parquet'} is there without direct of seed 43, no_target_hypothesis, full"
+    )
+    assert lines["trees_probe"] == f"trees_probe: left out, {folder / 'tree_predictions.parquet'} is there without trees_poses"
+    whole = Sources(Release.open(data / "release" / "full"), data / "predictions" / "full")
+    assert whole.missing("predictions", tuple(VARIANTS)) == ""
+    assert whole.missing("decision_times", ("joint",)) == ""
 
 
 def test_no_release_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

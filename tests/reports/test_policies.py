@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import polars as pl
 import pyarrow as pa
 import pytest
@@ -23,6 +24,7 @@ from reports.policies import (
     ranked,
     with_predictions,
 )
+from reports.predictions import with_score
 from reports.report import ReportError
 
 
@@ -68,6 +70,16 @@ def test_a_policy_orders_as_its_sentence_says(frame: pl.DataFrame, policy: objec
     for (scene_id,), group in out.group_by(["scene_id"]):
         expected = reference_order(frame.filter(pl.col("scene_id") == scene_id), policy.name)  # type: ignore[attr-defined]
         assert group.sort("rank")["candidate_id"].to_list() == expected
+
+
+def test_a_score_is_the_sum_of_32_bit_numbers_and_ties_as_they_do() -> None:
+    """In 64 bits the second would be ahead of the first by a part in a billion, whichever way the columns are held."""
+    plan, execution = np.array([-1.0, -1.0, -0.25]), np.array([-2.0, -2.0 + 2.0**-30, -0.5])
+    assert plan[0] + execution[0] < plan[1] + execution[1]
+    for dtype in (np.float32, np.float64):
+        frame = with_score(pl.DataFrame({"log_p_plan": plan.astype(dtype), "log_p_exec": execution.astype(dtype)}))
+        assert frame["score"].to_list() == [-3.0, -3.0, -0.75]
+        assert frame.schema["score"] == pl.Float64
 
 
 def test_random_succeeds_as_often_as_chance(release_tables: dict[str, pa.Table]) -> None:

@@ -12,8 +12,8 @@ import pytest
 from model.settings import SCHEME_OF_PREDICTIONS
 from reports import ablation, paper, profile, success_at_k, trees_probe
 from reports.ablation import ablation_report
-from reports.command import read_predictions
 from reports.load import Task, candidate_frame, check_parts, group_frame
+from reports.predictions import read_predictions
 from reports.profile import profile_report
 from reports.report import Report, ReportError
 from reports.success_at_k import success_at_k_report
@@ -22,6 +22,7 @@ from tables.schemas import PREDICTIONS, SPLITS
 from tables.store import read_sidecar, read_table, table_from_rows, write_table
 from tables.vocabulary import Split, SplitScheme
 from tests.model.synthetic_release import TOLERANCES
+from tests.reports.conftest import scores_of
 from tests.splits.damage import PROVENANCE
 
 Tables = dict[str, pa.Table]
@@ -62,7 +63,7 @@ def test_candidates_and_groups_have_the_split_of_the_scheme(release_tables: Tabl
 def test_success_is_counted_over_the_test_groups_of_the_scheme(release_tables: Tables, predictions: pa.Table, scheme: SplitScheme) -> None:
     report = success_at_k_report(release_tables, predictions, tier="pilot", seed=42, scheme=scheme)
     test = scenes_in(release_tables, scheme, "test")
-    score = {row["candidate_id"]: row["score"] for row in predictions.to_pylist() if (row["variant"], row["seed"]) == ("full", 42)}
+    score = scores_of(predictions, "full", 42)
     groups: dict[tuple[str, int], list[tuple[float, bool]]] = {}
     for row in release_tables["candidates"].to_pylist():
         if row["scene_id"] in test:
@@ -145,7 +146,7 @@ def test_rankers_of_another_split_are_refused(folder: Path, by_object: Path, pre
     for path, split, trained in ((by_object, "scene", "object"), (by_object, "layout", "object"), (by_scene, "object", "scene")):
         assert success_at_k.main([str(folder), "--split", split, "--predictions", str(path)]) == 1
         (line,) = capsys.readouterr().err.splitlines()
-        assert line == f"error: {path}: of rankers that were trained under split '{trained}', must be '{split}' as --split says"
+        assert line == f"error: {path}: of rankers that were trained under split '{trained}', must be '{split}', the split asked for"
     read = read_predictions([by_scene], SplitScheme.SCENE)
     assert read is not None
     assert read.equals(predictions)

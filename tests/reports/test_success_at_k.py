@@ -7,6 +7,7 @@ from reports.report import Report, ReportError
 from reports.success_at_k import success_at_k_report
 from tables import schemas
 from tables.store import table_from_columns
+from tests.reports.conftest import scores_of
 from tests.reports.shuffled import backwards
 
 
@@ -18,7 +19,7 @@ def report(release_tables: dict[str, pa.Table], predictions: pa.Table) -> Report
 def by_hand(tables: dict[str, pa.Table], predictions: pa.Table, split: str, seed: int) -> tuple[float, float, int]:
     """Ranker's fixed-target S1, coverage and number of covered groups, with dictionaries and loops."""
     in_split = {row["scene_id"] for row in tables["splits"].to_pylist() if row["split"] == split}
-    score = {row["candidate_id"]: row["score"] for row in predictions.to_pylist() if row["variant"] == "full" and row["seed"] == seed}
+    score = scores_of(predictions, "full", seed)
     groups: dict[tuple[str, int], list[tuple[float, bool]]] = {
         (row["scene_id"], row["target_id"]): [] for row in tables["targets"].to_pylist() if row["scene_id"] in in_split
     }

@@ -17,6 +17,7 @@ from tables.identity import rng_for
 from tables.schemas import PREDICTIONS
 from tables.store import read_table, table_from_columns
 from tests.model.synthetic_release import RELEASE_SCHEMAS, TOLERANCES, write_synthetic_release
+from tests.reports.conftest import scores_of
 from tests.reports.shuffled import backwards
 from tests.splits.damage import PROVENANCE
 
@@ -28,7 +29,7 @@ def predicted(tables: dict[str, pa.Table], seed: int) -> pa.Table:
     for variant, sign in (("trees", 1.0), ("trees_poses", -1.0)):
         for row in rows:
             log_p_plan, log_p_exec = (-1.0 - sign * (0.5 if label else -0.5) for label in (not row["y_plan"], not row["y_pipe"]))
-            values = (variant, seed, row["candidate_id"], log_p_plan, log_p_exec, log_p_plan + log_p_exec)
+            values = (variant, seed, row["candidate_id"], log_p_plan, log_p_exec)
             for name, value in zip(PREDICTIONS.names, values, strict=True):
                 columns[name].append(value)
     return table_from_columns(PREDICTIONS, columns)
@@ -54,8 +55,8 @@ def test_knowing_everything_is_best_and_knowing_it_wrongly_worst(report: Report)
 def test_scores_are_judged_as_a_count_by_hand_does(release_tables: dict[str, pa.Table]) -> None:
     known = predicted(release_tables, 42)
     noise = rng_for(1, "trees-probe-test").normal(size=known.num_rows)
-    noisy = known.set_column(PREDICTIONS.names.index("score"), PREDICTIONS.arrow.field("score"), pa.array(noise))
-    score = {row["candidate_id"]: row["score"] for row in noisy.to_pylist() if row["variant"] == "trees"}
+    noisy = table_from_columns(PREDICTIONS, {name: known[name] for name in PREDICTIONS.names} | {"log_p_exec": noise})
+    score = scores_of(noisy, "trees", 42)
     in_validation = {row["scene_id"] for row in release_tables["splits"].to_pylist() if row["split"] == "validation"}
     groups: dict[tuple[str, int], list[tuple[float, bool]]] = {}
     for row in release_tables["candidates"].to_pylist():

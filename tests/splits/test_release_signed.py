@@ -48,10 +48,10 @@ SIGNED: list[tuple[str, Damage, list[str]]] = [
     (
         "a newer schema",
         signed("schema_version", to="3.0.0"),
-        ["schema_version 3.0.0 is of a newer major version than this code knows (2.1.0)"],
+        ["schema_version 3.0.0 is of a newer major version than this code knows (2.3.0)"],
     ),
-    ("another schema", signed("schema_version", to="2.0.0"), ["schema_version 2.0.0, this code reads 2.1.0 only"]),
-    ("an older schema", signed("schema_version", to="0.9.0"), ["schema_version 0.9.0, this code reads 2.1.0 only"]),
+    ("another schema", signed("schema_version", to="2.0.0"), ["schema_version 2.0.0, this code reads 2.3.0 only"]),
+    ("an older schema", signed("schema_version", to="0.9.0"), ["schema_version 0.9.0, this code reads 2.3.0 only"]),
     ("a schema version that is a number", signed("schema_version", to=1), ["schema_version 1, must be major.minor.patch"]),
     ("no version", dropped("version"), ["version None, must be major.minor.patch"]),
     ("newer data of other fields", lambda d: (dropped("licence")(d), signed("version", to="7.0.0")(d)), ["newer major version"]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 
@@ -9,9 +10,10 @@ from dataclasses import dataclass
 class Criterion:
     """One number: its test, its bounds (None where there is none), the key of its count, and what it means.
 
-    `is_share` marks a share of runs, which has a binomial interval.
+    `study` measures it, "" where every study does. `is_share` marks a share of runs, which has a binomial interval.
     """
 
+    study: str
     test: str
     key: str
     count_key: str
@@ -34,21 +36,31 @@ class Criterion:
         return f">= {self.low:g}" if self.low is not None else f"<= {self.high:g}" if self.high is not None else "–"
 
 
-def _must(test: str, key: str, count_key: str, low: float | None, high: float | None, meaning: str) -> Criterion:
-    return Criterion(test, key, count_key, low, high, meaning, is_share=key.endswith(("_flip", "_right_way", "_agreement")))
+_Test = tuple[str, str]  # name of the study, and what it does
 
 
-def _beside(test: str, key: str, count_key: str, meaning: str) -> Criterion:
+def _must(test: _Test, key: str, count_key: str, low: float | None, high: float | None, meaning: str) -> Criterion:
+    return Criterion(*test, key, count_key, low, high, meaning, is_share=key.endswith(("_flip", "_right_way", "_agreement")))
+
+
+def _beside(test: _Test, key: str, count_key: str, meaning: str) -> Criterion:
     return _must(test, key, count_key, None, None, meaning)
 
 
-_HOLD, _MORE_HOLD = "hold 3 s, every object, hand down", "hold 3 s, every object, hands level and tilted"
-_PULL, _TWIST = "pull-out through the pads' centre, flat objects", "torque about the jaw axis, flat objects"
-_SLIP = "transport at <= 25 % of capacity, cans and cuboids"
-_LIGHT = "lost in transport below half of capacity, cans and cuboids"
-_AUC, _EVEN = "demand ratio and outcome, cuboids", "the same loads against evenly pressed pads"
-_FRICTION, _SECOND = "friction +-5 %", "the other engine with the same pads"
-_LEVER, _LIFT, _AGAIN = "lever of the pads +-15 %", "pick-lift", "run again without a change"
+_HOLD = "hold_creep", "hold 3 s, every object, hand down"
+_MORE_HOLD = "hold_creep_elsewhere", "hold 3 s, every object, hands level and tilted"
+_PULL = "pull_out", "pull-out through the pads' centre, flat objects"
+_TWIST = "torsion", "torque about the jaw axis, flat objects"
+_SLIP = "loads", "transport at <= 25 % of capacity, cans and cuboids"
+_LIGHT = "loads", "lost in transport below half of capacity, cans and cuboids"
+_AUC, _EVEN = ("loads", "demand ratio and outcome, cuboids"), ("loads", "the same loads against evenly pressed pads")
+_ASKEW = "loads", "grips askew, cans and cuboids"
+_STEP, _FINER = ("flips", "half the step"), ("flips", "finer pads, 5 x 5 cells")
+_FRICTION, _LEVER = ("flips", "friction +-5 %"), ("flips", "lever of the pads +-15 %")
+_LIFT = "lifts", "pick-lift"
+_AGAIN, _LIFT_AGAIN = (("flips", "run again without a change"), ("lifts", "run again without a change"))
+_SECOND = "second_engine", "the other engine with the same pads"
+_FAULTS = "", "solver resets and states that are not finite"
 
 CRITERIA = (
     _must(_HOLD, "hold_creep_mm_median", "n_hold_creep", None, 0.05, "millimetres in the hand after the load is taken"),
@@ -60,13 +72,13 @@ CRITERIA = (
     _must(_SLIP, "transport_slip_mm_max", "n_transport_slip", None, 0.8, "millimetres that a load moves which sticks by Coulomb"),
     _must(_LIGHT, "light_load_drops", "n_light_load", 0.0, 0.0, "nothing falls or slips that the grip holds twice over"),
     _must(_AUC, "cuboid_auc", "n_cuboid_auc", 0.9, None, "theory without an engine foretells success (area under ROC)"),
-    _must("half the step", "half_step_flip", "n_half_step", None, 0.02, "labels do not hang on the time step"),
+    _must(_STEP, "half_step_flip", "n_half_step", None, 0.02, "labels do not hang on the time step"),
     _must(_FRICTION, "friction_flip", "n_friction", None, 0.03, "labels hang little on a number that nobody knows better"),
     _must(_FRICTION, "friction_right_way", "n_friction_flipped", 0.9, None, "of these flips: more friction helps, less of it hurts"),
-    _must("finer pads, 5 x 5 cells", "finer_pad_flip", "n_finer_pad", None, 0.03, "labels do not hang on the pads' cells"),
+    _must(_FINER, "finer_pad_flip", "n_finer_pad", None, 0.03, "labels do not hang on the pads' cells"),
     _must(_SECOND, "engine2_agreement", "n_engine2", 0.95, None, "another solver says the same of success"),
     _must(_SECOND, "engine2_kappa", "n_engine2", 0.8, None, "the same beyond chance (Cohen)"),
-    _must("solver resets and states that are not finite", "solver_faults", "n_solver_faults", 0.0, 0.0, "the engine never gave up"),
+    _must(_FAULTS, "solver_faults", "n_solver_faults", 0.0, 0.0, "the engine never gave up"),
 )
 
 # Reported beside them, without a bound.
@@ -78,9 +90,7 @@ BESIDE = (
     _beside(
         _AUC, "cuboid_held_auc", "n_cuboid_auc", "held to the release (neither dropped nor slipped, however it ended) instead of success"
     ),
-    _beside(
-        "grips askew, cans and cuboids", "preload_ratio_max", "n_loads", "friction a grip takes by itself, over mu F: Coulomb allows 1"
-    ),
+    _beside(_ASKEW, "preload_ratio_max", "n_loads", "friction a grip takes by itself, over mu F: Coulomb allows 1"),
     _beside(_EVEN, "transport_slip_even_pads_mm_max", "n_transport_slip_even_pads", "slip at <= 25 %, grips askew among them"),
     _beside(_EVEN, "light_load_drops_even_pads", "n_light_load_even_pads", "lost below half"),
     _beside(_EVEN, "cuboid_auc_even_pads", "n_cuboid_auc", "success foretold"),
@@ -93,5 +103,10 @@ BESIDE = (
     _beside(_LIFT, "lift_half_step_flip", "n_lift_half_step", "lifted or not, at half the step"),
     _beside(_LIFT, "lift_friction_flip", "n_lift_friction", "lifted or not, at friction +-5 %"),
     _beside(_AGAIN, "stored_differs", "n_stored", "executions of another status than the stored one"),
-    _beside(_AGAIN, "lift_stored_differs", "n_lift_stored", "pick-lifts of another status than the stored one"),
+    _beside(_LIFT_AGAIN, "lift_stored_differs", "n_lift_stored", "pick-lifts of another status than the stored one"),
 )
+
+
+def measured_by(criteria: Iterable[Criterion], studies: Collection[str]) -> tuple[Criterion, ...]:
+    """Those of some numbers that some studies measure, and those that all do."""
+    return tuple(criterion for criterion in criteria if criterion.study in studies or not criterion.study)

@@ -30,24 +30,32 @@ class LiftCase:
 
     @property
     def name(self) -> str:
-        return f"{self.scene.scene_id}-g{self.grasp.grasp_id:02d}"
+        return _name(self.scene.scene_id, self.grasp.grasp_id)
 
 
 def lifts_study(subject: Subject) -> Study:
     """The same number of admitted grasps of each category, statuses at their natural rates, each under some changes and none."""
     strata: dict[tuple[str, str], list[str]] = {}
-    cases: dict[str, tuple[LiftCase, str]] = {}
-    for scene_id, rows in sorted(subject.values.grasp_rows.items()):
-        scene = subject.values.scene(scene_id)
-        object_model = subject.values.object_models[scene.object_id]
-        status = {row["grasp_id"]: row["lift_status"] for row in rows}
-        for grasp in admitted_grasps(rows):
-            case = LiftCase(object_model, scene, grasp, subject.recipe)
-            cases[case.name] = case, str(status[grasp.grasp_id])
-            strata.setdefault((object_model.category, str(status[grasp.grasp_id])), []).append(case.name)
+    stored: dict[str, Row] = {}
+    for row in (row for rows in subject.values.grasp_rows.values() for row in rows if row["admission_status"] == "admitted"):
+        stored[name := _name(row["scene_id"], row["grasp_id"])] = row
+        strata.setdefault((subject.values.object_models[row["object_id"]].category, str(row["lift_status"])), []).append(name)
+    # Only what is chosen is decoded: `full` has tens of thousands of admitted grasps.
     chosen = choose_mixed(strata, subject.recipe.seed, "validity_lifts", subject.sizes.n_lifts)
-    units = tuple(StudyUnit(f"{name} {change}", (*cases[name], change)) for name in chosen for change in CHANGES)
+    cases = {name: (_case(subject, stored[name]), str(stored[name]["lift_status"])) for name in chosen}
+    units = tuple(StudyUnit(f"{name} {change}", (*case, change)) for name, case in cases.items() for change in CHANGES)
     return Study("lifts", units, lifts_row, lifts_summary, unit_ms=100.0)
+
+
+def _name(scene_id: str, grasp_id: int) -> str:
+    return f"{scene_id}-g{grasp_id:02d}"
+
+
+def _case(subject: Subject, row: Row) -> LiftCase:
+    """An admitted row of `grasps` with its scene and object."""
+    (grasp,) = admitted_grasps([row])
+    scene = subject.values.scene(row["scene_id"])
+    return LiftCase(subject.values.object_models[scene.object_id], scene, grasp, subject.recipe)
 
 
 def lifts_row(case: LiftCase, stored_status: str, change: Change) -> Row:

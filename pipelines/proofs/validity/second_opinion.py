@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 
 from pipelines.codecs import Row
 from pipelines.proofs.validity.second_engine import choose, opinion, summary
@@ -13,15 +14,21 @@ from pipelines.proofs.validity.subject import Case, Subject
 def second_engine_study(subject: Subject) -> Study:
     """Executed cans and cuboids, a third each that the labels call success, lost on the way and missed."""
     chosen = choose(subject.candidates, subject.recipe.seed, subject.sizes.n_second_engine)
-    units = tuple(StudyUnit(one.candidate_id, (subject.case(one.candidate_id), one.weight)) for one in chosen)
-    return Study("second_engine", units, opinion_row, opinion_summary, unit_ms=1700.0)
+    units = tuple(StudyUnit(one.candidate_id, (subject.case(one.candidate_id),)) for one in chosen)
+    # Weights are of the sample, so that rows stay what they are in a larger one.
+    weights = {one.candidate_id: one.weight for one in chosen}
+    return Study("second_engine", units, opinion_row, partial(opinion_summary, weights=weights), unit_ms=1700.0)
 
 
-def opinion_row(case: Case, weight: float) -> Row:
-    """How both engines say the candidate ends, and how many executed candidates it stands for."""
-    return {**opinion(case.object_model, case.candidate, case.motion(), case.recipe.execution_setup), "weight": weight}
+def opinion_row(case: Case) -> Row:
+    """How both engines say the candidate ends."""
+    return opinion(case.object_model, case.candidate, case.motion(), case.recipe.execution_setup)
 
 
-def opinion_summary(rows: Sequence[Row]) -> Numbers:
-    """Agreement and kappa, as they are and weighted to the tier; nothing where there is no row."""
-    return summary(rows, {row["candidate_id"]: row["weight"] for row in rows}) if rows else {}
+def opinion_summary(rows: Sequence[Row], weights: Mapping[str, float]) -> Numbers:
+    """Agreement and kappa, as they are and weighted to the tier; nothing where there is no row.
+
+    Args:
+        weights: how many executed candidates each candidate stands for.
+    """
+    return summary(rows, weights) if rows else {}

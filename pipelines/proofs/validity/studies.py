@@ -1,4 +1,4 @@
-"""All studies of the engine, in the order in which they run; a new one is a function from a subject to a Study and its name here."""
+"""All studies of the engine, in the order in which they run; a new one is a function from a subject to a Study, here by its name."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipelines.proofs.validity.criteria import BESIDE, CRITERIA
+from pipelines.proofs.validity.criteria import BESIDE, CRITERIA, measured_by
 from pipelines.proofs.validity.flips import flips_study
 from pipelines.proofs.validity.hold_creep import creep_elsewhere_study, creep_study
 from pipelines.proofs.validity.lifts import lifts_study
@@ -20,16 +20,18 @@ from pipelines.proofs.validity.subject import Subject
 from pipelines.running.workers import Workers
 from tables.errors import PlaceBenchError
 
-STUDIES: tuple[Callable[[Subject], Study], ...] = (
-    creep_study,
-    creep_elsewhere_study,
-    pull_out_study,
-    torsion_study,
-    loads_study,
-    flips_study,
-    lifts_study,
-    second_engine_study,
-)
+Makers = Mapping[str, Callable[[Subject], Study]]
+
+STUDIES: Makers = {
+    "hold_creep": creep_study,
+    "hold_creep_elsewhere": creep_elsewhere_study,
+    "pull_out": pull_out_study,
+    "torsion": torsion_study,
+    "loads": loads_study,
+    "flips": flips_study,
+    "lifts": lifts_study,
+    "second_engine": second_engine_study,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +50,7 @@ def run_studies(
     made_from: Mapping[str, str],
     n_workers: int,
     on_progress: Callable[[StudyProgress], None] = lambda _: None,
-    makers: Sequence[Callable[[Subject], Study]] = STUDIES,
+    makers: Makers = STUDIES,
 ) -> list[StudyResult]:
     """Run what is missing of every study; one that cannot be made or finished is among the results with its problem.
 
@@ -56,8 +58,9 @@ def run_studies(
         folder: of the files that keep the rows.
         made_from: what decides every row besides its unit: hashes of code, parameters, release and engines.
         n_workers: worker processes; 0 stays in this process. Rows do not depend on it.
+        makers: of the studies that run, by their names.
     """
-    made = [_made(maker, subject) for maker in makers]
+    made = [_made(name, maker, subject) for name, maker in makers.items()]
     costs = [len(one.units) * one.unit_ms if isinstance(one, Study) else 0.0 for one in made]
     whole = sum(costs) or 1.0
     results = []
@@ -74,15 +77,15 @@ def run_studies(
     return results
 
 
-def _made(maker: Callable[[Subject], Study], subject: Subject) -> Study | StudyResult:
+def _made(name: str, maker: Callable[[Subject], Study], subject: Subject) -> Study | StudyResult:
     try:
         return maker(subject)
     except (PlaceBenchError, LookupError, ValueError) as error:  # a release without a table, a value that does not fit
-        return StudyResult(maker.__name__.removesuffix("_study"), problem=f"{type(error).__name__}: {error}")
+        return StudyResult(name, problem=f"{type(error).__name__}: {error}")
 
 
 def numbers_of(results: Sequence[StudyResult], subject: Subject) -> dict[str, float | None]:
-    """A number for every key of the criteria and what is reported beside them, and every count; None for what was not measured.
+    """A number for every key that these studies measure, criteria and what is reported beside them, and every count; None for what failed.
 
     Faults are those that a release can hold (an admitted grasp without a lift, a plan without an execution: a stage whose engine gave up
     publishes nothing, so a release of such a tier cannot be made by its own command) and those of the studies' own runs.
@@ -96,7 +99,8 @@ def numbers_of(results: Sequence[StudyResult], subject: Subject) -> dict[str, fl
         "solver_faults": float(stored + seen),
         "n_solver_faults": float(n_stored + sum(result.n_runs for result in results)),
     }
-    keys = dict.fromkeys(name for criterion in (*CRITERIA, *BESIDE) for name in (criterion.key, criterion.count_key))
+    own = measured_by((*CRITERIA, *BESIDE), {result.name for result in results})
+    keys = dict.fromkeys(name for criterion in own for name in (criterion.key, criterion.count_key))
     return {key: measured.get(key, 0.0 if key.startswith("n_") else None) for key in keys}
 
 

@@ -23,7 +23,7 @@ TAKE_GAP_M = 0.002
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
-    """How much is measured."""
+    """How much is measured; nothing of it grows with the tier by itself, since every study looks at so many and no more."""
 
     n_grasps: int = 5  # of every object, hand down
     n_grasps_elsewhere: int = 2  # of every object in each other direction of the hand
@@ -38,6 +38,11 @@ class Sizes:
         for name in self.__slots__:
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} = {getattr(self, name)}, must be at least 1")
+
+    @classmethod
+    def of_tier(cls, tier: str) -> Sizes:
+        """What a tier is measured by: `full` asks the second engine twice as often as the others do."""
+        return cls(n_second_engine=300) if tier == "full" else cls()
 
 
 @dataclass(frozen=True, slots=True)
