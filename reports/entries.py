@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 import polars as pl
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from reports.letters import letter_display
 from reports.load import Task
@@ -51,15 +51,19 @@ class Entry:
         """Scene of each covered group."""
         return self.covered["scene_id"].to_list()
 
-    def s(self, k: int, among: pl.Expr | None = None) -> Estimate | None:
+    def s(self, k: int, among: Bool[np.ndarray, "n"] | None = None) -> Estimate | None:
         """S_K, the mean over trainings; None where no group is covered.
 
         Args:
-            among: which covered groups count, of the columns of `metrics.group_ranks`.
+            among: which of the covered groups count; all by default.
         """
-        covered = self.covered
-        chosen = np.ones(covered.height, dtype=bool) if among is None else covered.select(among.alias("is_chosen"))["is_chosen"].to_numpy()
-        return proportion(self.first_success[:, chosen] <= k, covered.filter(pl.Series(chosen))["scene_id"].to_list())
+        chosen = np.ones(self.covered.height, dtype=bool) if among is None else among
+        return proportion(self.first_success[:, chosen] <= k, np.array(self.scene_ids)[chosen].tolist())
+
+    @property
+    def is_hard(self) -> Bool[np.ndarray, "n"]:
+        """Which covered groups have few successes."""
+        return self.covered.select(is_hard().alias("is_hard"))["is_hard"].to_numpy()
 
     def s_by_training(self, k: int) -> list[float]:
         """S_K of each training, in percent."""
@@ -132,7 +136,7 @@ def comparison(entries: Sequence[Entry], seed: int, prefix: str) -> tuple[str, d
 
 def hard_groups(entries: Sequence[Entry]) -> dict[str, Estimate | None]:
     """S1 on the groups with few successes, by policy."""
-    return {entry.policy.name: entry.s(1, is_hard()) for entry in entries}
+    return {entry.policy.name: entry.s(1, entry.is_hard) for entry in entries}
 
 
 def random_mean(entry: Entry, k: int, bootstrap: SceneBootstrap) -> Draws:

@@ -174,7 +174,7 @@ def _solvability(inputs: _Inputs, scored: pl.DataFrame) -> tuple[list[str], dict
         bootstrap = SceneBootstrap(test["scene_id"].to_list(), inputs.seed)
         area = auroc_draws(scores, labels, bootstrap)
         shown = None if area is None else f"{100 * area.value:.2f}"
-        name = f"test.{task.value}.solvability"
+        name = f"test.{task.value}.{SUBMISSION.name}.solvability"
         if area is not None and bootstrap.is_telling:
             shown = str(area.estimate())
             metrics |= flat(f"{name}.auroc", area.estimate())
@@ -209,7 +209,7 @@ def _best_scores(frame: pl.DataFrame, task: Task) -> pl.DataFrame:
 def _calibration(inputs: _Inputs) -> tuple[list[str], dict[str, float]]:
     if not inputs.submission.has_probabilities:
         return ["## Calibration", "No probabilities were given, so there is nothing to say about them."], {}
-    section, metrics = calibration_section(inputs.submitted, inputs.seed, "test.calibration")
+    section, metrics = calibration_section(inputs.submitted, inputs.seed, f"test.{SUBMISSION.name}.calibration")
     return ["## Calibration", *section], metrics
 
 

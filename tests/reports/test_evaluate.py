@@ -73,11 +73,11 @@ def test_the_truth_scores_a_hundred(folder: Path, candidates: pl.DataFrame, tmp_
         assert report.metrics.get(f"test.{task}.submission.hard_s1") == (1.0 if task == "fixed" else None), "no joint group is hard"
         assert report.metrics[f"test.{task}.submission.first_success_rank"] == 1.0
         assert report.metrics[f"test.{task}.submission_minus_full_planner.s1_low"] >= 0.0
-    assert report.metrics["test.fixed.solvability.auroc"] == 1.0
-    assert report.metrics["test.fixed.solvability.balanced_accuracy"] == 1.0
+    assert report.metrics["test.fixed.submission.solvability.auroc"] == 1.0
+    assert report.metrics["test.fixed.submission.solvability.balanced_accuracy"] == 1.0
     assert "No probabilities were given" in report.markdown
     upside_down = truth.with_columns(score=-pl.col("score"))
-    assert report_of(folder, upside_down, tmp_path / "worst.parquet").metrics["test.fixed.solvability.auroc"] < 0.5
+    assert report_of(folder, upside_down, tmp_path / "worst.parquet").metrics["test.fixed.submission.solvability.auroc"] < 0.5
 
 
 def test_equal_scores_are_the_hash_order(folder: Path, candidates: pl.DataFrame, tmp_path: Path) -> None:
@@ -106,11 +106,11 @@ def test_probabilities_and_their_logarithms_say_the_same(folder: Path, noisy: pl
     assert plain.metrics == pytest.approx(logarithmic.metrics)
     assert "ordered by `p_plan * p_exec`" in plain.markdown
     assert "ordered by `log_p_plan + log_p_exec`" in logarithmic.markdown
-    assert 0.0 < plain.metrics["test.calibration.success.ece"] < 0.5
+    assert 0.0 < plain.metrics["test.submission.calibration.success.ece"] < 0.5
     both = noisy.with_columns(score=pl.lit(0.0))
     ordered_by_score = report_of(folder, both, tmp_path / "c.parquet")
     assert "ordered by `score`" in ordered_by_score.markdown
-    assert ordered_by_score.metrics["test.calibration.plan.brier"] == plain.metrics["test.calibration.plan.brier"]
+    assert ordered_by_score.metrics["test.submission.calibration.plan.brier"] == plain.metrics["test.submission.calibration.plan.brier"]
 
 
 def test_the_validation_split_may_be_left_out_and_train_does_not_matter(
@@ -119,7 +119,7 @@ def test_the_validation_split_may_be_left_out_and_train_does_not_matter(
     of_test = noisy.join(candidates.filter(pl.col("split") == "test").select("candidate_id"), on="candidate_id")
     whole, test = report_of(folder, noisy, tmp_path / "a.parquet"), report_of(folder, of_test, tmp_path / "b.parquet")
     # Every joint group of the validation split is solvable, so none has a threshold there.
-    assert set(whole.metrics) - set(test.metrics) == {"test.fixed.solvability.balanced_accuracy"}
+    assert set(whole.metrics) - set(test.metrics) == {"test.fixed.submission.solvability.balanced_accuracy"}
     assert "there is no threshold to choose" in test.markdown
     assert {name: whole.metrics[name] for name in test.metrics} == test.metrics
 
