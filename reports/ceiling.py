@@ -104,8 +104,9 @@ def _about(outcomes: pl.DataFrame, n_replicates: object) -> str:
         " S1** is the mean success over the replicates of what a policy tries first; a first choice without a plan has none. The"
         " **ceiling** is what the best candidate of a group is worth: chosen on all replicates but one and judged on that one, each held"
         " out in turn, so that luck is not counted as merit. It is what a policy gets that has seen each candidate executed that often,"
-        " so one that knows more may pass it by a little. The oracle knows the stored labels and nothing else. Intervals are 95 %,"
-        f" resampled by scene and training; none below {MIN_SCENES} scenes."
+        " so one that knows more may pass it by a little. The oracle knows the stored labels and nothing else. S1 / ceiling may pass 100:"
+        " stored labels are one throw, and whoever is judged on them is credited with its luck; robust S1 / ceiling is not. Intervals are"
+        f" 95 %, resampled by scene and training; none below {MIN_SCENES} scenes."
     )
 
 

@@ -22,7 +22,7 @@ from splits.markdown import table
 FIRST_RANK = "first_success_rank"  # what it is called among metrics
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Entry:
     """A policy on one task.
 

@@ -95,8 +95,8 @@ def success_at_k_report(
 
 
 def _introduction(seeds: Mapping[Policy, Sequence[int]], scheme: SplitScheme) -> str:
-    trained = "; ".join(f"{policy.label}: {', '.join(map(str, own))}" for policy, own in seeds.items())
-    learned = f"Learned policies are means over their trainings (seeds; {trained})." if seeds else ""
+    trained = "; ".join(f"{policy.label} {', '.join(map(str, own))}" for policy, own in seeds.items())
+    learned = f"Learned policies are means over their trainings, by seed: {trained}." if seeds else ""
     missing = "" if RANKER in seeds else " **No ranker was scored: its rows are missing.**"
     in_paper = (
         f" *Paper* is {paper.RANKING_SOURCE}: Isaac Sim and cuMotion there, MuJoCo, PyBullet and OMPL here, so the protocol is the same and"
@@ -140,7 +140,7 @@ def _split_section(inputs: _Inputs, split: str, entries: Mapping[Task, Sequence[
         if split != "all":
             more, values = _comparison(own, groups, inputs.seed, prefix)
             blocks += more
-            metrics |= values
+            metrics |= values if split == "test" else {}
         panels[f"{TASK_TITLE[task]}, {own[0].covered.height:,} covered groups"] = ladder_bars(own, is_in_paper=is_in_paper)
     title = f"Success at K on covered groups, {inputs.tier}{of_scheme(inputs.scheme)}, {split}"
     return blocks, metrics, ladder_figure(panels, title.replace("`", ""))

@@ -91,8 +91,10 @@ def make_replicates(
 
 
 def default_path(directory: Path, tier: str) -> Path:
-    """Where the table about a release of a data folder goes: beside the other tables of the tier."""
-    return DataRoot(directory.resolve().parent.parent).tier_table(tier, TABLE)
+    """Where the table about a release of a data folder goes: to those shipped with it if there are any, else to those of the tier."""
+    root = DataRoot(directory.resolve().parent.parent)
+    shipped = root.predictions(tier)
+    return shipped / f"{TABLE}.parquet" if shipped.is_dir() else root.tier_table(tier, TABLE)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -100,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m splits.replicates", description=__doc__)
     parser.add_argument("directory", type=Path, help="a whole release")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="worker processes; the result does not depend on it")
-    parser.add_argument("--out", type=Path, metavar="FILE", help=f"of the table; data/tiers/TIER/{TABLE}.parquet by default")
+    parser.add_argument("--out", type=Path, metavar="FILE", help=f"of the table; {TABLE}.parquet beside the release's other tables by default")
     parser.add_argument("--recipe", type=Path, default=DEFAULT_RECIPE)
     chosen = parser.parse_args(arguments)
     try:

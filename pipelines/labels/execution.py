@@ -131,7 +131,8 @@ def _carry(world: HandWorld, motion: Motion, setup: ExecutionSetup, monitor: Mon
     """Hold, transport and descend, as far as the object stays in the hand and the hand meets nothing that stops it."""
     transport = time_path(motion.transport_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=True)
     descend = time_path(motion.descend_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=False)
-    if late.descend < 0:  # the last samples of the transport are dropped: micrometres before its end, the hand is nearly at rest
+    if late.descend < 0 and len(transport.q_rad) > 1 - late.descend:
+        # The last samples of the transport are dropped: micrometres before its end the hand is nearly at rest.
         transport = dataclasses.replace(transport, q_rad=transport.q_rad[: late.descend], qd_rad_s=transport.qd_rad_s[: late.descend])
     hold_s = setup.execution.hold_s + late.transport * world.params.dt_s
     is_carried = hold(world, Phase.HOLD, hold_s, monitor.carried) and move(world, Phase.TRANSPORT, transport, monitor.carried)

@@ -172,4 +172,4 @@ def test_every_learned_policy_with_predictions_has_its_rows(release_tables: dict
     assert "test.fixed.ranker.s1" not in report.metrics
     assert "test.fixed.trees_minus_local.s1" in report.metrics
     assert "**No ranker was scored: its rows are missing.**" in report.markdown
-    assert "(seeds; Local ranker: 42, 43; Trees, derived geometry: 42, 43)" in report.markdown
+    assert "by seed: Local ranker 42, 43; Trees, derived geometry 42, 43." in report.markdown
