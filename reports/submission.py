@@ -21,7 +21,9 @@ from tables.store import read_sidecar, sidecar_path
 from tables.vocabulary import Split, SplitScheme
 
 ID = "candidate_id"
-SCORE, LOG_P, P = ("score",), ("log_p_plan", "log_p_exec"), ("p_plan", "p_exec")
+SCORE: tuple[str, ...] = ("score",)
+LOG_P: tuple[str, ...] = ("log_p_plan", "log_p_exec")
+P: tuple[str, ...] = ("p_plan", "p_exec")
 # Keys of the file's own metadata that may say what it is about; a sidecar of ours says it too.
 RELEASE_KEY, SPLIT_KEY = "placebench.release", "placebench.split"
 _SHORTEST_HASH = 8
@@ -215,6 +217,6 @@ def _score(values: Mapping[str, Float[np.ndarray, "n"]], is_single: bool) -> Flo
     if "score" in values:
         return values["score"]
     if "log_p_plan" not in values:
-        return values["p_plan"] * values["p_exec"]
-    plan, execution = (values[name].astype(np.float32 if is_single else np.float64) for name in LOG_P)
-    return (plan + execution).astype(np.float64)
+        return np.asarray(values["p_plan"] * values["p_exec"])
+    dtype = np.float32 if is_single else np.float64
+    return np.asarray(np.add(values["log_p_plan"], values["log_p_exec"], dtype=dtype, casting="same_kind"), dtype=np.float64)

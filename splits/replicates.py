@@ -102,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m splits.replicates", description=__doc__)
     parser.add_argument("directory", type=Path, help="a whole release")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="worker processes; the result does not depend on it")
-    parser.add_argument("--out", type=Path, metavar="FILE", help=f"of the table; {TABLE}.parquet beside the release's other tables by default")
+    parser.add_argument("--out", type=Path, metavar="FILE", help=f"of the table; {TABLE}.parquet beside others by default")
     parser.add_argument("--recipe", type=Path, default=DEFAULT_RECIPE)
     chosen = parser.parse_args(arguments)
     try:
