@@ -13,7 +13,7 @@ export PYTHONUNBUFFERED := 1
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo dataset ui reports light points plans rejections test soak check bench reproduce validity knobs clean
+.PHONY: demo dataset ui reports light replicates points plans rejections test soak check bench reproduce validity knobs clean
 
 demo: $(INSTALLED)  ## the whole benchmark on tier mini, from objects to reports
 	$(PY) -m assets_def.build mini --workers $(WORKERS)
@@ -29,6 +29,9 @@ reports: $(INSTALLED)  ## every report from a release and the tables about it, n
 
 light: $(INSTALLED)  ## a copy of a tier's release without its heavy tables, in $(RELEASE)-light
 	$(PY) -m splits.release light $(RELEASE) $(RELEASE)-light
+
+replicates: $(INSTALLED)  ## planned test candidates executed again under small real uncertainty, for the ceiling report; resumable
+	$(PY) -m splits.replicates $(RELEASE) --workers $(WORKERS)
 
 points: $(INSTALLED)  ## heavy tables of a light release again, hash-checked (RELEASE=folder, data/release/$(TIER) by default)
 	$(PY) -m splits.rebuild $(RELEASE) points --workers $(WORKERS)

@@ -14,12 +14,15 @@ import pyarrow as pa
 from pipelines.frames import frame_of
 from reports import paper
 from reports.command import Asked, report_command
+from reports.entries import Entry, entry_of, flat, prediction_frames
 from reports.figures import dots_figure
+from reports.letters import letter_display
 from reports.load import Task, candidate_frame, group_frame, of_scheme, scheme_note
 from reports.metrics import MIN_SCENES, coverage, spread_of
-from reports.policies import RANKER, prediction_seeds, with_predictions
-from reports.ranking import KS, TASK_TITLE, rank_groups, timing_frame
+from reports.policies import RANKER, Policy, prediction_seeds
+from reports.ranking import TASK_TITLE, rank_groups, timing_frame
 from reports.report import Report, ReportError
+from reports.resampling import SceneBootstrap, pairs_that_differ
 from splits.markdown import table
 from tables.vocabulary import Split, SplitScheme
 
@@ -43,7 +46,7 @@ def ablation_report(
         tables: a release: `candidates`, `splits`, `scenes`, `targets`, `policy_features`.
         predictions: table `predictions` with any of the four variants and any seeds.
         tier: printed in the title.
-        seed: seed of the hash order.
+        seed: seed of the hash order and the resampling.
         scheme: by what scenes are dealt to the splits; the one that the rankers were trained under.
 
     Raises:
@@ -54,23 +57,26 @@ def ablation_report(
     seeds = {variant: prediction_seeds(predictions, variant) for variant in VARIANTS}
     if not any(seeds.values()):
         raise ReportError(f"predictions: 0 rows of the variants {list(VARIANTS)}, must be at least 1")
-    values = {variant: _values(frame, scores, variant, trained) for variant, trained in seeds.items()}
+    trained = {variant: _entries(frame, scores, variant) for variant, own in seeds.items() if own}
+    letters = {measure: _letters(trained, measure, seed) for measure in _MEASURES}
     is_in_paper = scheme is SplitScheme.SCENE
 
     rows: list[list[str | None]] = []
     metrics: dict[str, float] = {}
+    values: dict[str, list[list[float]]] = {}
     for variant, label in VARIANTS.items():
         cells: list[str | None] = [label, ", ".join(map(str, seeds[variant])) or None]
-        for measure, theirs in zip(_MEASURES, paper.ABLATION[variant], strict=True):
-            spread = spread_of(values[variant][measure])
-            cells += [None if spread is None else str(spread), str(theirs) if is_in_paper else None]
+        values[variant] = [trained[variant][task].s_by_training(k) if variant in trained else [] for task, k in _MEASURES]
+        for (task, k), own, theirs in zip(_MEASURES, values[variant], paper.ABLATION[variant], strict=True):
+            spread = spread_of(own)
+            cells += [None if spread is None else str(spread), str(theirs) if is_in_paper else None, letters[task, k].get(variant)]
             if spread is not None:
-                metrics[f"{variant}.{_name(measure)}"] = spread.mean / 100
+                metrics |= flat(f"{variant}.{_name((task, k))}", trained[variant][task].s(k))
         rows.append(cells)
         metrics[f"{variant}.n_seeds"] = float(len(seeds[variant]))
-    header = ["variant", "seeds", *(cell for measure in _MEASURES for cell in (_title(measure), "paper"))]
+    header = ["variant", "seeds", *(cell for measure in _MEASURES for cell in (_title(measure), "paper", "differs"))]
     panels = {
-        _title(measure): {label: (values[v][measure], paper.ABLATION[v][i].mean if is_in_paper else None) for v, label in VARIANTS.items()}
+        _title(measure): {label: (values[v][i], paper.ABLATION[v][i].mean if is_in_paper else None) for v, label in VARIANTS.items()}
         for i, measure in enumerate(_MEASURES)
     }
     blocks = [
@@ -84,15 +90,21 @@ def ablation_report(
     return Report("ablation", "\n\n".join(blocks) + "\n", figures, metrics)
 
 
-def _values(frame: pl.DataFrame, scores: pl.DataFrame, variant: str, seeds: list[int]) -> dict[tuple[Task, int], list[float]]:
-    """Percentages by task and K, one a seed."""
-    values: dict[tuple[Task, int], list[float]] = {(task, k): [] for task in Task for k in KS}
-    for training_seed in seeds:
-        scored = with_predictions(frame, scores, variant, training_seed)
-        for task in Task:
-            for k, estimate in rank_groups(scored, RANKER, task, timing_frame({})).s.items():
-                values[task, k] += [] if estimate is None else [100 * estimate.value]
-    return values
+def _entries(frame: pl.DataFrame, scores: pl.DataFrame, variant: str) -> dict[Task, Entry]:
+    """A variant as a policy, by task."""
+    policy = Policy(variant, VARIANTS[variant], RANKER.keys, variant=variant)
+    frames = prediction_frames(frame, scores, variant)
+    return {task: entry_of(policy, task, frames, timing_frame({})) for task in Task}
+
+
+def _letters(trained: Mapping[str, Mapping[Task, Entry]], measure: tuple[Task, int], seed: int) -> dict[str, str]:
+    """Letters by variant, the best first; none where there are too few scenes to tell."""
+    task, k = measure
+    bootstrap = SceneBootstrap(next(iter(trained.values()))[task].scene_ids, seed)
+    if not bootstrap.is_telling:
+        return {}
+    means = {variant: entries[task].s_draws(k, bootstrap) for variant, entries in trained.items()}
+    return letter_display(sorted(means, key=lambda variant: -means[variant].value), pairs_that_differ(means))
 
 
 def _about(tables: Mapping[str, pa.Table], frame: pl.DataFrame, seeds: Mapping[str, list[int]], scheme: SplitScheme) -> str:
@@ -111,7 +123,8 @@ def _about(tables: Mapping[str, pa.Table], frame: pl.DataFrame, seeds: Mapping[s
     warning = f" **Only {n_scenes} scenes: differences between variants mean little.**" if n_scenes < MIN_SCENES else ""
     return (
         f"S_K on covered groups in percent, {spread}. {'; '.join(sizes)}.{warning} *Paper* is {paper.ABLATION_SOURCE}. Variants are"
-        " compared here so that the test split takes no part in choosing between them."
+        " compared here so that the test split takes no part in choosing between them. Two that share a letter do not differ at 95 %,"
+        " all pairs judged together, scenes and trainings resampled."
     )
 
 

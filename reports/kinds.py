@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from reports.ablation import VARIANTS, ablation_report
 from reports.audit import audit_report
+from reports.ceiling import ceiling_report
 from reports.gallery import gallery_report
 from reports.load import Task, check_parts
 from reports.policies import prediction_seeds
@@ -20,7 +21,8 @@ from reports.sources import Sources
 from reports.success_at_k import DESIGNATED_SEED, success_at_k_report
 from reports.trees_probe import trees_probe_report
 from splits.release_laws import stage_tables
-from tables.schemas import OBJECT_TABLES
+from tables.schemas import OBJECT_TABLES, PREDICTIONS
+from tables.store import join_tables
 from tables.vocabulary import Split, SplitScheme
 
 # Filmstrips an execution status.
@@ -96,8 +98,7 @@ def _audit(sources: Sources) -> Report:
 
 def _success_at_k(sources: Sources) -> Report:
     tables = _judged(sources, Split.VALIDATION, Split.TEST) | sources.tables(sources.there(["timings"]))
-    about = sources.tables(sources.there(["predictions", "decision_times"]))
-    scores, times = about.get("predictions"), about.get("decision_times")
+    scores, times = _all_predictions(sources), sources.tables(sources.there(["decision_times"])).get("decision_times")
     return success_at_k_report(tables, scores, times, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
 
 
@@ -122,6 +123,17 @@ def _judged(sources: Sources, *needed: Split) -> dict[str, pa.Table]:
     return tables
 
 
+def _ceiling(sources: Sources) -> Report:
+    tables, replicates = sources.tables(_RANKED), sources.table("test_replicates")
+    return ceiling_report(tables, replicates, _all_predictions(sources), tier=sources.tier, seed=sources.seed)
+
+
+def _all_predictions(sources: Sources) -> pa.Table | None:
+    """Those of the networks and those of the trees, as far as they are there."""
+    there = sources.tables(sources.there(["predictions", "tree_predictions"]))
+    return join_tables(PREDICTIONS, list(there.values())) if there else None
+
+
 KINDS = {
     kind.name: kind
     for kind in (
@@ -134,7 +146,7 @@ KINDS = {
             "success_at_k",
             _RANKED,
             _success_at_k,
-            ("predictions", "decision_times", "timings"),
+            ("predictions", "tree_predictions", "decision_times", "timings"),
             shown_parts={"predictions": ("full",), "decision_times": tuple(Task)},
             by_split=True,
         ),
@@ -146,5 +158,6 @@ KINDS = {
             parts={"tree_predictions": ("trees", "trees_poses")},
             by_split=True,
         ),
+        Kind("ceiling", (*_RANKED, "test_replicates"), _ceiling, ("predictions", "tree_predictions")),
     )
 }

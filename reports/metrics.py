@@ -15,10 +15,11 @@ from jaxtyping import Bool, Float
 from scipy import stats
 
 from reports.load import Task
-from tables.identity import rng_for
 
 N_DRAWS = 4_000  # the ends of a bootstrapped interval then vary between seeds by about 1 % of its width
 MIN_SCENES = 10  # below this a percentile bootstrap is far too narrow, and any interval too wide to tell policies apart
+
+HARD = (1, 2)  # successes of a group that a lucky order hardly finds
 
 _Z95 = float(stats.norm.ppf(0.975))
 
@@ -96,16 +97,24 @@ def coverage(groups: pl.DataFrame, ranks: pl.DataFrame, task: Task) -> Estimate 
     return proportion(joined["is_covered"].to_numpy(), joined["scene_id"].to_list())
 
 
+def expected_random_hits(ranks: pl.DataFrame, k: int) -> Float[np.ndarray, "n"]:
+    """How often a uniformly random order has a success among the first k, of each covered group: 1 - C(n - s, k) / C(n, k)."""
+    covered = ranks.filter(pl.col("first_success").is_not_null()).select("n_candidates", "n_success")
+    return np.array([1.0 - math.comb(n - s, min(k, n)) / math.comb(n, min(k, n)) for n, s in covered.iter_rows()], dtype=np.float64)
+
+
 def expected_random_success(ranks: pl.DataFrame, k: int) -> float | None:
-    """S_K of a uniformly random order, averaged over all orders: 1 - C(n - s, k) / C(n, k) for s successes among n."""
-    covered = ranks.filter(pl.col("first_success").is_not_null())
-    if covered.is_empty():
-        return None
-    misses = [math.comb(n - s, min(k, n)) / math.comb(n, min(k, n)) for n, s in covered.select("n_candidates", "n_success").iter_rows()]
-    return 1.0 - math.fsum(misses) / len(misses)
+    """S_K of a uniformly random order, averaged over all orders; None where no group is covered."""
+    hits = expected_random_hits(ranks, k)
+    return math.fsum(hits) / len(hits) if len(hits) else None
 
 
-def proportion(hits: Bool[np.ndarray, "n"], scene_ids: Sequence[str]) -> Estimate | None:
+def is_hard() -> pl.Expr:
+    """Groups that hold a success, but so few of them (`HARD`) that a lucky order hardly finds one."""
+    return pl.col("n_success").is_in(HARD)
+
+
+def proportion(hits: Bool[np.ndarray, "n"] | Bool[np.ndarray, "r n"], scene_ids: Sequence[str]) -> Estimate | None:
     """Share of hits, with an interval that takes into account that units of a scene are alike; None without units.
 
     It is the interval of Wilson with the effective number of units: n over the design effect, which compares the variance between
@@ -113,26 +122,22 @@ def proportion(hits: Bool[np.ndarray, "n"], scene_ids: Sequence[str]) -> Estimat
     J. Surv. Stat. Methodol. 3, 2015). One pseudo-scene, half of it hits, keeps the design effect defined where all scenes agree. On
     simulated scenes of 1 to 8 units (3, 15, 46, 239 scenes; shares 0.3, 0.8, 0.97; intra-scene correlation 0, 0.2, 0.6) it held the
     truth in 92 to 100 % of 400 runs each; a percentile bootstrap over scenes in 85 to 100 %, and it has no width where all scenes agree.
+
+    Args:
+        hits: of each unit; a row of them a training, where a policy was trained several times. The share is then the mean over
+            trainings, and their variance, times (t / z)^2 for the few there are, adds to that of the scenes.
     """
-    if len(hits) == 0:
+    rows = np.atleast_2d(np.asarray(hits, dtype=np.float64))
+    if rows.shape[1] == 0:
         return None
-    n_hits, n_units = _per_scene(np.asarray(hits, dtype=np.float64), scene_ids)
+    n_hits, n_units = per_scene(rows.mean(axis=0), scene_ids)
     value = float(n_hits.sum() / n_units.sum())
-    low, high = wilson(value, _effective_units(n_hits, n_units))
-    return Estimate(value, low, high, len(hits), len(n_units))
-
-
-def paired_difference(hits_a: Bool[np.ndarray, "n"], hits_b: Bool[np.ndarray, "n"], scene_ids: Sequence[str], seed: int) -> Estimate | None:
-    """Share of hits of a minus that of b on the same units, with an interval from resampled scenes; None below `MIN_SCENES` scenes."""
-    difference = np.asarray(hits_a, dtype=np.float64) - np.asarray(hits_b, dtype=np.float64)
-    total, n_units = _per_scene(difference, scene_ids)
-    if len(n_units) < MIN_SCENES:
-        return None
-    # The same draws for everything that rests on as many scenes.
-    rng = rng_for(seed, "bootstrap", len(n_units))
-    weights = rng.multinomial(len(n_units), np.full(len(n_units), 1.0 / len(n_units)), size=N_DRAWS).astype(np.float64)
-    low, high = np.quantile((weights @ total) / (weights @ n_units), [0.025, 0.975])
-    return Estimate(float(total.sum() / n_units.sum()), float(low), float(high), len(difference), len(n_units))
+    n_effective = _effective_units(n_hits, n_units)
+    if len(rows) > 1 and 0.0 < value < 1.0:
+        spread = float(rows.mean(axis=1).var(ddof=1)) / len(rows) * (float(stats.t.ppf(0.975, len(rows) - 1)) / _Z95) ** 2
+        n_effective = 1.0 / (1.0 / n_effective + spread / (value * (1.0 - value)))
+    low, high = wilson(value, n_effective)
+    return Estimate(value, low, high, rows.shape[1], len(n_units))
 
 
 def wilson(value: float, n: float) -> tuple[float, float]:
@@ -193,7 +198,7 @@ def best_threshold(scores: Float[np.ndarray, "n"], labels: Bool[np.ndarray, "n"]
     return float(between[int(np.argmax([r.balanced_accuracy for r in judged if r is not None]))])
 
 
-def _per_scene(values: Float[np.ndarray, "n"], scene_ids: Sequence[str]) -> tuple[Float[np.ndarray, "s"], Float[np.ndarray, "s"]]:
+def per_scene(values: Float[np.ndarray, "n"], scene_ids: Sequence[str]) -> tuple[Float[np.ndarray, "s"], Float[np.ndarray, "s"]]:
     """Sum and number of the values of each scene, scenes in order of their id."""
     _, scene = np.unique(np.asarray(scene_ids), return_inverse=True)
     return np.bincount(scene, weights=values), np.bincount(scene).astype(np.float64)

@@ -19,8 +19,9 @@ from reports.report import ReportError
 class Policy:
     """One policy: sorts by `keys`, smaller first.
 
-    `candidate_stages` are the timed stages that it must run for every candidate of a group before it can order it, `group_stage` the one
-    that it runs once a group. Without either it computes nothing.
+    `variant` is that of the rows of `predictions` that score it; without one nothing is learned. `candidate_stages` are the timed stages
+    that it must run for every candidate of a group before it can order it, `group_stage` the one that it runs once a group. Without
+    either it computes nothing.
     """
 
     name: str
@@ -28,7 +29,12 @@ class Policy:
     keys: tuple[pl.Expr, ...]
     candidate_stages: tuple[str, ...] = ()
     group_stage: str = ""
-    is_learned: bool = False
+    variant: str = ""
+
+    @property
+    def is_learned(self) -> bool:
+        """Whether it orders by predictions."""
+        return bool(self.variant)
 
     @property
     def is_free(self) -> bool:
@@ -52,12 +58,18 @@ FULL_PLANNER = Policy(
     (pl.col("y_plan").not_(), pl.col("plan_duration_s").fill_null(float("inf"))),
     ("planning_labels",),
 )
-RANKER = Policy("ranker", "Ranker", (-pl.col("score"),), group_stage="ranker", is_learned=True)
+RANKER = Policy("ranker", "Ranker", (-pl.col("score"),), group_stage="ranker", variant="full")
+LOCAL = Policy("local", "Local ranker", (-pl.col("score"),), group_stage="local", variant="local")
+TREES = Policy("trees", "Trees, derived geometry", (-pl.col("score"),), variant="trees")
+TREES_POSES = Policy("trees_poses", "Trees, raw poses", (-pl.col("score"),), variant="trees_poses")
+POSE_ONLY = Policy("pose_only", "Pose-only network", (-pl.col("score"),), variant="pose_only")
 
-POLICIES = (RANDOM, IK_ONLY, GRIPPER_ONLY, IK_AND_GRIPPER, FULL_PLANNER, RANKER)
+UNLEARNED = (RANDOM, IK_ONLY, GRIPPER_ONLY, IK_AND_GRIPPER, FULL_PLANNER)
+LEARNED = (RANKER, LOCAL, TREES, TREES_POSES, POSE_ONLY)
+POLICIES = (*UNLEARNED, *LEARNED)
 
 # Not policies that anyone could or should use, but bounds and parts of one.
-PLAN_HEAD_ONLY = Policy("plan_head_only", "Ranker, p_plan alone", (-pl.col("log_p_plan"),), group_stage="ranker", is_learned=True)
+PLAN_HEAD_ONLY = Policy("plan_head_only", "Ranker, p_plan alone", (-pl.col("log_p_plan"),), group_stage="ranker", variant="full")
 ORACLE = Policy("oracle", "Oracle", (pl.col("success").not_(),))
 
 

@@ -17,7 +17,7 @@ from splits.release_folder import left_out_error
 from splits.release_reader import Release
 from tables.columns import TableSchema
 from tables.identity import family_of_tier
-from tables.schemas import ATTEMPTS, AUDITS, PREDICTIONS, TIMINGS
+from tables.schemas import ATTEMPTS, AUDITS, PREDICTIONS, TEST_REPLICATES, TIMINGS
 from tables.store import read_sidecar, read_table
 from tables.vocabulary import SplitScheme
 
@@ -29,6 +29,7 @@ BESIDE: dict[str, TableSchema] = {
     "tree_predictions": PREDICTIONS,
     "attempts": ATTEMPTS,
     "audits": AUDITS,
+    "test_replicates": TEST_REPLICATES,
 }
 
 _DEFAULT_SEED = "42"  # of releases whose provenance does not name the seed of the recipe

@@ -24,30 +24,27 @@ from model.trees import TreeData, TreeVariant, cross_validated_predictions, read
 from pipelines.frames import frame_of
 from reports.load import Task, candidate_frame, check_parts, group_frame, load_release, of_scheme, scheme_note
 from reports.metrics import (
+    HARD,
     MIN_SCENES,
     Estimate,
     auroc,
     coverage,
     expected_random_success,
     group_ranks,
-    paired_difference,
+    is_hard,
     proportion,
     success_at_k,
 )
-from reports.policies import FULL_PLANNER, GRIPPER_ONLY, IK_AND_GRIPPER, IK_ONLY, RANDOM, Policy, ranked, with_predictions
+from reports.policies import FULL_PLANNER, RANDOM, TREES, TREES_POSES, UNLEARNED, Policy, ranked, with_predictions
 from reports.report import Report, ReportError
+from reports.resampling import paired_difference
 from splits.markdown import percent, table
 from tables.errors import PlaceBenchError
 from tables.schemas import PREDICTIONS
 from tables.store import join_tables, write_table
 from tables.vocabulary import Split, SplitScheme
 
-HARD = (1, 2)  # successes of a fixed group that a lucky order hardly finds
-_TREES = {
-    TreeVariant.POSES: Policy("trees_poses", "Trees, raw poses", (-pl.col("score"),), is_learned=True),
-    TreeVariant.GEOMETRY: Policy("trees", "Trees, derived geometry", (-pl.col("score"),), is_learned=True),
-}
-_UNLEARNED = (RANDOM, IK_ONLY, GRIPPER_ONLY, IK_AND_GRIPPER, FULL_PLANNER)
+_TREES = {TreeVariant.POSES: TREES_POSES, TreeVariant.GEOMETRY: TREES}
 
 
 def tree_predictions(
@@ -80,7 +77,7 @@ def trees_probe_report(
     """
     frame = candidate_frame(tables, seed, scheme)
     scores = frame_of(predictions)
-    frames: dict[Policy, pl.DataFrame] = {policy: _of_split(frame, split) for policy in _UNLEARNED}
+    frames: dict[Policy, pl.DataFrame] = {policy: _of_split(frame, split) for policy in UNLEARNED}
     for variant, policy in _TREES.items():
         frames[policy] = _of_split(with_predictions(frame, scores, variant.value, seed), split)
     ranks = {(policy, task): group_ranks(ranked(own, policy, task), task) for policy, own in frames.items() for task in Task}
@@ -114,7 +111,7 @@ def _of_split(frame: pl.DataFrame, split: str) -> pl.DataFrame:
 
 
 def _hard(ranks: pl.DataFrame) -> pl.DataFrame:
-    return ranks.filter(pl.col("n_success").is_in(HARD))
+    return ranks.filter(is_hard())
 
 
 def _facts(groups: Mapping[Task, pl.DataFrame], ranks: Mapping[tuple[Policy, Task], pl.DataFrame]) -> list[str]:

@@ -18,7 +18,7 @@ from tables.vocabulary import (
 )
 
 # A change of any table makes a new version, which that table then names as its `since`.
-SCHEMA_VERSION = "2.2.0"
+SCHEMA_VERSION = "2.3.0"
 
 _SCENE_ID = text("scene_id", "scene, also the scene group")
 _OBJECT_ID = text("object_id", "catalogue object")
@@ -197,6 +197,16 @@ PREDICTIONS = TableSchema("predictions", "what a trained ranker says of every ca
     single("log_p_exec", "log probability of success given a plan; the ranking score is the sum of both, in 32 bits too"),
 ), since="2.2.0")
 
+TEST_REPLICATES = TableSchema("test_replicates", "planned candidates of the test split executed again under small real uncertainty", ("candidate_id", "replicate"), (
+    _CANDIDATE_ID, integer("replicate", "number of the replicate; what is drawn follows from it and the id"),
+    real("friction_scale", "of every pair with the object"), real("mass_scale", "of the object's mass and inertia"),
+    real("shift_x_m", "of the object in the hand, along x of the TCP", "m"), real("shift_y_m", "along y, in which the jaws close", "m"), real("shift_z_m", "along z", "m"),
+    real("turn_x_rad", "of the object in the hand about its origin: rotation vector in the axes of the TCP (x)", "rad"), real("turn_y_rad", "about y", "rad"), real("turn_z_rad", "about z", "rad"),
+    integer("late_transport_ticks", "ticks of 1/240 s by which the transport starts late; negative is early"), integer("late_descend_ticks", "of the descend"), integer("late_retreat_ticks", "of the retreat"),
+    enum("exec_status", ExecStatus, "outcome of the execution"), flag("is_success", "the outcome is success"),
+    real("tolerance_margin", "1 minus the larger of the two errors over its tolerance; negative is off target"),
+), since="2.3.0")
+
 TIMINGS = TableSchema("timings", "core time of each unit of work, measured once; never part of a hashed release", ("stage", "item_id"), (
     text("stage", "stage that spent the time"), plain("item_id", "scene, grasp or candidate"), real("core_ms", "CPU time of the worker", "ms"),
 ))
@@ -211,5 +221,5 @@ LABEL_COLUMNS = tuple(column.name for column in (*_PLANNING, *_EXECUTION))
 
 ALL_SCHEMAS = {schema.name: schema for schema in (
     OBJECTS, OBJECT_MESHES, OBJECT_PARTS, STABLE_POSES, GRASP_POOL, SCENES, SCENE_ATTEMPTS, OBSTACLES, TARGETS, SCENE_POINTS, GRASP_ADMISSION, PICK_LIFT, GRASPS,
-    CANDIDATE_PAIRS, PLANNING_LABELS, PLANS, POLICY_FEATURES, EXECUTION_LABELS, CANDIDATES, SPLITS, ATTEMPTS, AUDITS, PREDICTIONS, TIMINGS,
+    CANDIDATE_PAIRS, PLANNING_LABELS, PLANS, POLICY_FEATURES, EXECUTION_LABELS, CANDIDATES, SPLITS, ATTEMPTS, AUDITS, PREDICTIONS, TEST_REPLICATES, TIMINGS,
 )}  # fmt: skip

@@ -28,7 +28,9 @@ __all__ = [
     "STAGE",
     "ExecutionParams",
     "ExecutionSetup",
+    "Lateness",
     "execute_candidate",
+    "execute_held",
     "execute_perturbed",
     "execution_rows",
     "perturbed_setup",
@@ -43,6 +45,18 @@ class ExecutionSetup:
     execution: ExecutionParams
     motion: MotionParams
     physics: HandWorldParams
+
+
+@dataclass(frozen=True, slots=True)
+class Lateness:
+    """Ticks by which each motion of a placement starts late; negative is early."""
+
+    transport: int = 0
+    descend: int = 0
+    retreat: int = 0
+
+
+ON_TIME = Lateness()
 
 
 def execution_rows(object_model: ObjectModel, planned: Sequence[tuple[Candidate, Motion]], setup: ExecutionSetup) -> Iterator[Row]:
@@ -97,35 +111,45 @@ def execute_candidate(world: HandWorld, candidate: Candidate, motion: Motion, se
     """
     grasp = candidate.grasp
     world.start_held(candidate.candidate_id, grasp.lifted_q_rad, grasp.fingers_m.tolist(), grasp.T_tcp_object)
-    monitor = Monitor(world, grasp.T_tcp_object, setup.execution, watch)
-    _carry(world, motion, setup, monitor)
+    return execute_held(world, candidate, motion, setup, Monitor(world, grasp.T_tcp_object, setup.execution, watch))
+
+
+def execute_held(
+    world: HandWorld, candidate: Candidate, motion: Motion, setup: ExecutionSetup, monitor: Monitor, late: Lateness = ON_TIME
+) -> Row:
+    """The row of one candidate whose object is in the hand of `world`, at the post-lift configuration, however it came to be there."""
+    _carry(world, motion, setup, monitor, late)
     T_release, is_let_go = world.object_pose(), not monitor.is_dropped and not world.is_stopped
-    drag_m = _let_go(world, grasp, motion, setup, monitor) if is_let_go else None
+    drag_m = _let_go(world, candidate.grasp, motion, setup, monitor, late) if is_let_go else None
     # From here on the hand touches nothing, or the object has left it: alone it settles at a third of the cost.
     world.remove_hand()
     is_settled = settle(world, setup.execution.max_settle_steps, monitor.film)
     return judge(candidate, monitor, Ending(T_release, world.object_pose(), is_settled, drag_m))
 
 
-def _carry(world: HandWorld, motion: Motion, setup: ExecutionSetup, monitor: Monitor) -> None:
+def _carry(world: HandWorld, motion: Motion, setup: ExecutionSetup, monitor: Monitor, late: Lateness) -> None:
     """Hold, transport and descend, as far as the object stays in the hand and the hand meets nothing that stops it."""
     transport = time_path(motion.transport_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=True)
     descend = time_path(motion.descend_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=False)
-    is_carried = hold(world, Phase.HOLD, setup.execution.hold_s, monitor.carried) and move(
-        world, Phase.TRANSPORT, transport, monitor.carried
-    )
+    if late.descend < 0 and len(transport.q_rad) > 1 - late.descend:
+        # The last samples of the transport are dropped: micrometres before its end the hand is nearly at rest.
+        transport = dataclasses.replace(transport, q_rad=transport.q_rad[: late.descend], qd_rad_s=transport.qd_rad_s[: late.descend])
+    hold_s = setup.execution.hold_s + late.transport * world.params.dt_s
+    is_carried = hold(world, Phase.HOLD, hold_s, monitor.carried) and move(world, Phase.TRANSPORT, transport, monitor.carried)
+    if late.descend > 0:
+        is_carried = is_carried and hold(world, Phase.TRANSPORT, late.descend * world.params.dt_s, monitor.carried)
     monitor.end_transport()
     if is_carried:
         move(world, Phase.DESCEND, descend, monitor.carried)
     monitor.is_dropped = monitor.is_dropped or world.is_lost
 
 
-def _let_go(world: HandWorld, grasp: LiftedGrasp, motion: Motion, setup: ExecutionSetup, monitor: Monitor) -> float:
+def _let_go(world: HandWorld, grasp: LiftedGrasp, motion: Motion, setup: ExecutionSetup, monitor: Monitor, late: Lateness) -> float:
     """Open and retreat; returns how far the object moved during the retreat, in metres."""
     width_m = world.object_model.grasp(grasp.grasp_id).jaw_width_m
     world.begin_landing()
     open_fingers(world, open_jaw_m(width_m), setup.execution.max_open_s, monitor.film)
-    hold(world, Phase.OPEN, setup.execution.release_wait_s, monitor.film)
+    hold(world, Phase.OPEN, setup.execution.release_wait_s + late.retreat * world.params.dt_s, monitor.film)
     T_opened = world.object_pose()
     retreat = time_path(motion.retreat_q_rad, setup.motion, world.params.dt_s, stop_at_waypoints=False)
     monitor.begin_retreat()

@@ -27,6 +27,15 @@ def test_variants_are_compared_on_validation_over_their_seeds(release_tables: di
     assert "test split" in report.markdown
 
 
+def test_variants_that_differ_have_no_letter_in_common(release_tables: dict[str, pa.Table], predictions: pa.Table) -> None:
+    report = ablation_report(release_tables, predictions, tier="pilot", seed=42)
+    rows = {cells[1].strip(): cells for cells in (line.split("|") for line in report.markdown.splitlines() if " ± " in line)}
+    letters = {name: set(cells[8].strip()) for name, cells in rows.items()}  # of fixed S1
+    assert "a" in letters["Full hierarchical model"]
+    assert not letters["Full hierarchical model"] & letters["Without object-relative pose"]
+    assert report.metrics["full.fixed.s1_low"] < report.metrics["full.fixed.s1"] < report.metrics["full.fixed.s1_high"]
+
+
 def test_one_seed_has_no_deviation_and_a_missing_variant_a_dash(release_tables: dict[str, pa.Table], predictions: pa.Table) -> None:
     rows = [row["seed"] == 42 and row["variant"] != "direct" for row in predictions.to_pylist()]
     report = ablation_report(release_tables, predictions.filter(pa.array(rows)), tier="pilot", seed=42)

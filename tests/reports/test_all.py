@@ -22,9 +22,10 @@ from splits.manifest import read_manifest
 from splits.release import make_light, write_release
 from splits.release_reader import Release
 from tables import schemas
-from tables.store import table_from_columns, table_from_rows, write_table
+from tables.store import join_tables, table_from_columns, table_from_rows, write_table
 from tables.vocabulary import SplitScheme
 from tests.model.synthetic_release import TOLERANCES
+from tests.reports.replicates import replicates_of
 from tests.splits.damage import PROVENANCE
 
 # The synthetic release has no meshes to draw.
@@ -53,6 +54,7 @@ def about(release_tables: dict[str, pa.Table], predictions: pa.Table) -> dict[st
         "tree_predictions": table_from_rows(schemas.PREDICTIONS, trees),
         "attempts": table_from_rows(schemas.ATTEMPTS, [{name: row[name] for name in labels} | same for row in first]),
         "audits": table_from_rows(schemas.AUDITS, audits),
+        "test_replicates": replicates_of(release_tables),
     }
 
 
@@ -78,7 +80,7 @@ def test_every_report_is_made_twice_the_same(data: Path, tmp_path: Path, capsys:
     assert [name for name in KINDS if "left out" in lines[name]] == ["gallery"], "the synthetic release has no meshes"
     assert f"{data}/release/full/object_meshes.parquet is missing: the release has no such table" in lines["gallery"]
     assert {path.stem for path in (tmp_path / "one").glob("*.md")} == set(MADE)
-    assert lines["7 of 8 reports in " + str(tmp_path / "one") + "; left out"].endswith(": gallery")
+    assert lines["8 of 9 reports in " + str(tmp_path / "one") + "; left out"].endswith(": gallery")
     moved = tmp_path / "elsewhere"
     shutil.copytree(data / "predictions" / "full", moved)
     assert main([str(data / "release" / "full"), "--predictions", str(moved), "--out", str(tmp_path / "two")]) == 0
@@ -88,7 +90,8 @@ def test_every_report_is_made_twice_the_same(data: Path, tmp_path: Path, capsys:
 def test_a_report_is_the_one_of_its_module(data: Path, release_tables: dict[str, pa.Table], predictions: pa.Table) -> None:
     sources = Sources(Release.open(data / "release" / "full"), data / "predictions" / "full")
     times = sources.table("decision_times")
-    expected = success_at_k_report(release_tables, predictions, times, tier="full", seed=42)
+    both = join_tables(schemas.PREDICTIONS, [predictions, sources.table("tree_predictions")])
+    expected = success_at_k_report(release_tables, both, times, tier="full", seed=42)
     made = KINDS["success_at_k"].make(sources)
     assert (made.markdown, dict(made.metrics)) == (expected.markdown, dict(expected.metrics))
     assert made.metrics["test.joint.ranker.decision_ms"] == 1.0
@@ -105,6 +108,7 @@ def test_a_light_release_without_predictions_says_what_it_lacks(data: Path, tmp_
         ("audit", "audits"),
         ("ablation", "predictions"),
         ("trees_probe", "tree_predictions"),
+        ("ceiling", "test_replicates"),
     ):
         assert lines[name] == f"{name}: left out, {folder / f'{file}.parquet'} is missing"
     assert f"{light / 'timings.parquet'} is missing" in lines["profile"]
@@ -134,8 +138,8 @@ def test_tables_about_another_release_and_damaged_ones_fail_alone(data: Path, tm
         in lines["trees_probe"]
     )
     assert "FAILED, StoreError" in lines["audit"]
-    assert out.splitlines()[-1].endswith("left out: gallery; failed: audit, trees_probe")
-    assert {path.stem for path in (tmp_path / "out").glob("*.md")} == set(MADE) - {"audit", "trees_probe"}
+    assert out.splitlines()[-1].endswith("left out: gallery; failed: audit, success_at_k, trees_probe, ceiling")
+    assert {path.stem for path in (tmp_path / "out").glob("*.md")} == set(MADE) - {"audit", "success_at_k", "trees_probe", "ceiling"}
 
 
 def under(scheme: str, data: Path, folder: Path) -> Path:
@@ -159,7 +163,8 @@ def test_under_a_scheme_only_what_a_split_decides_is_made(
     assert capsys.readouterr().out.splitlines()[-1] == "4 of 4 reports in reports/out/full/object"
     for name in decided:
         assert ", split `object`" in (out / f"{name}.md").read_text().splitlines()[0], name
-    expected = success_at_k_report(release_tables, predictions, tier="full", seed=42, scheme=SplitScheme.OBJECT)
+    both = join_tables(schemas.PREDICTIONS, [predictions, about(release_tables, predictions)["tree_predictions"]])
+    expected = success_at_k_report(release_tables, both, tier="full", seed=42, scheme=SplitScheme.OBJECT)
     # Decision times are measured again under another scheme: there are none here, and those of the paper's split are not shown.
     assert (json.loads((out / "success_at_k.json").read_text())) == dict(expected.metrics)
     assert main([str(copied / "release" / "full"), "--split", "kitchen"]) == 1

@@ -15,6 +15,7 @@ from reports.policies import (
     GRIPPER_ONLY,
     IK_AND_GRIPPER,
     IK_ONLY,
+    LEARNED,
     ORACLE,
     POLICIES,
     RANDOM,
@@ -59,7 +60,7 @@ def reference_order(group: pl.DataFrame, policy: str) -> list[str]:
         "gripper_only": lambda row: not row["gripper_free"],
         "ik_and_gripper": lambda row: not (row["ik_feasible"] and row["gripper_free"]),
         "full_planner": lambda row: row["plan_duration_s"] if row["y_plan"] else math.inf,
-        "ranker": lambda row: -row["score"],
+        **{learned.name: lambda row: -row["score"] for learned in LEARNED},
     }[policy]
     return [row["candidate_id"] for row in sorted(rows, key=key)]
 

@@ -1,0 +1,161 @@
+"""Report of the ceiling: how far S1 can go when labels flip, and what the first choice of a policy is worth under small uncertainty.
+
+Replicates are executed in pipelines/proofs/replicates.py. `python -m splits.replicates RELEASE` makes their table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import polars as pl
+import pyarrow as pa
+from jaxtyping import Bool, Float
+
+from pipelines.frames import frame_of
+from reports.entries import flat, prediction_frames
+from reports.load import Task, candidate_frame
+from reports.metrics import MIN_SCENES
+from reports.policies import LEARNED, ORACLE, UNLEARNED, Policy, ranked
+from reports.ranking import TASK_TITLE
+from reports.report import Report, ReportError
+from reports.resampling import Draws, SceneBootstrap
+from splits.markdown import percent, table
+from tables.vocabulary import Split
+
+
+def cross_fitted_best(outcomes: Bool[np.ndarray, "n r"]) -> float:
+    """What the best candidate of a group is worth, chosen and judged on different replicates.
+
+    Each replicate is held out once: of the candidates that succeed most often in the others, its mean outcome counts (the mean over
+    ties, whoever would win them). The mean over replicates is then the expected success of a choice made with r - 1 looks at every
+    candidate; the largest mean of all r would count the luck of the luckiest of n.
+
+    Args:
+        outcomes: success of each of n candidates in each of r >= 2 replicates.
+    """
+    wins = np.asarray(outcomes, dtype=np.float64)
+    n, r = wins.shape
+    if n < 1 or r < 2:
+        raise ValueError(f"outcomes of shape {wins.shape}, must be of at least 1 candidate and 2 replicates")
+    in_others = wins.sum(axis=1, keepdims=True) - wins
+    is_best = in_others >= in_others.max(axis=0) - 0.5  # counts are whole numbers
+    return float(((wins * is_best).sum(axis=0) / is_best.sum(axis=0)).mean())
+
+
+def ceiling_report(
+    tables: Mapping[str, pa.Table], replicates: pa.Table, predictions: pa.Table | None = None, *, tier: str, seed: int
+) -> Report:
+    """Report `ceiling`, of the test split of the paper's scheme.
+
+    Args:
+        tables: `candidates`, `splits`, `scenes`, `targets`, `policy_features` of a release.
+        replicates: table `test_replicates` of it.
+        predictions: table `predictions` of any learned policies.
+        tier: printed in the title.
+        seed: of the hash order and the resampling.
+
+    Raises:
+        ReportError: a planned test candidate without its replicates, or replicates of another candidate.
+    """
+    frame = candidate_frame(tables, seed).filter(pl.col("split") == Split.TEST.value)
+    outcomes = _outcomes(frame, frame_of(replicates))
+    scores = None if predictions is None else frame_of(predictions)
+    n_replicates = outcomes["outcomes"].list.len().max()
+    blocks = [f"# The ceiling on tier {tier}, test split", _about(outcomes, n_replicates)]
+    metrics: dict[str, float] = {"n_executions": float(outcomes["outcomes"].list.len().sum())}
+    for task in Task:
+        section, values = _task_section(frame.join(outcomes, on="candidate_id", how="left"), scores, task, seed)
+        blocks += section
+        metrics |= values
+    flips = _flips(outcomes)
+    names = {"success_flips": "stored successes fail", "failure_flips": "stored failures succeed"}
+    shares = " and ".join(f"{percent(flips[name])} of the replicates of {text}" for name, text in names.items() if name in flips)
+    blocks.insert(2, f"How much labels hang on what cannot be known: {shares}.")
+    return Report("ceiling", "\n\n".join(blocks) + "\n", metrics=metrics | flips)
+
+
+def _outcomes(frame: pl.DataFrame, replicates: pl.DataFrame) -> pl.DataFrame:
+    """Success in every replicate of each planned candidate, as a list, beside its stored label."""
+    planned = frame.filter("y_plan").select("candidate_id", "success")
+    made = replicates.sort("candidate_id", "replicate").group_by("candidate_id").agg(outcomes=pl.col("is_success"))
+    foreign = made.join(planned, on="candidate_id", how="anti").sort("candidate_id")
+    if not foreign.is_empty():
+        raise ReportError(
+            f"test_replicates: {foreign['candidate_id'][0]} is no planned test candidate ({foreign.height} candidates, must be 0)"
+        )
+    joined = planned.join(made, on="candidate_id", how="left").sort("candidate_id")
+    n = int(joined["outcomes"].list.len().max() or 0)  # type: ignore[arg-type]
+    short = joined.filter(pl.col("outcomes").list.len().fill_null(0) < max(n, 2))
+    if not short.is_empty():
+        found = 0 if short["outcomes"][0] is None else len(short["outcomes"][0])
+        raise ReportError(
+            f"test_replicates: {short['candidate_id'][0]} has {found} replicates, must have {max(n, 2)}"
+            f" ({short.height} candidates have fewer, must be 0)"
+        )
+    return joined
+
+
+def _about(outcomes: pl.DataFrame, n_replicates: object) -> str:
+    return (
+        f"Every planned candidate of the test split, {outcomes.height:,}, was executed {n_replicates} more times under small real"
+        " uncertainty that the plan does not know: friction ±10 %, mass ±5 %, where the object lies in the hand ±1 mm and ±1° on every"
+        " axis, the start of each motion ±1 control step. **S1** is of the stored labels, on covered groups, as everywhere. **Robust"
+        " S1** is the mean success over the replicates of what a policy tries first; a first choice without a plan has none. The"
+        " **ceiling** is what the best candidate of a group is worth: chosen on all replicates but one and judged on that one, each held"
+        " out in turn, so that luck is not counted as merit. It is what a policy gets that has seen each candidate executed that often,"
+        " so one that knows more may pass it by a little. The oracle knows the stored labels and nothing else. S1 / ceiling may pass 100:"
+        " stored labels are one throw, and whoever is judged on them is credited with its luck; robust S1 / ceiling is not. Intervals are"
+        f" 95 %, resampled by scene and training; none below {MIN_SCENES} scenes."
+    )
+
+
+def _task_section(frame: pl.DataFrame, scores: pl.DataFrame | None, task: Task, seed: int) -> tuple[list[str], dict[str, float]]:
+    covered = frame.filter(pl.col("success").any().over(task.group))
+    if covered.is_empty():
+        return [f"## {TASK_TITLE[task]}", "No group is covered."], {}
+    groups = covered.filter("y_plan").sort("candidate_id").group_by(task.group, maintain_order=True).agg("outcomes").sort(task.group)
+    best = np.array([cross_fitted_best(np.array(own.to_list(), dtype=bool)) for own in groups["outcomes"]])
+    bootstrap = SceneBootstrap(groups["scene_id"].to_list(), seed)
+    ceiling = bootstrap.mean(best)
+    prefix = f"test.{task.value}"
+    metrics = _metric(f"{prefix}.ceiling", ceiling, bootstrap)
+    rows: list[list[object]] = []
+    for policy, frames in _policies(covered, scores):
+        firsts = [_first_choices(own, policy, task) for own in frames]
+        s1, robust = (bootstrap.mean(np.stack([first[k] for first in firsts]), policy.name) for k in (0, 1))
+        cells = [s1, robust, s1 / ceiling, robust / ceiling] if ceiling.value else [s1, robust]
+        shown = [_shown(own, bootstrap) for own in cells]
+        rows.append([policy.label, *shown, *[None] * (4 - len(shown))])
+        for name, own in zip(("s1", "robust_s1", "s1_of_ceiling", "robust_s1_of_ceiling"), cells, strict=False):
+            metrics |= _metric(f"{prefix}.{policy.name}.{name}", own, bootstrap)
+    header = ["policy", "S1 [95 %]", "robust S1 [95 %]", "S1 / ceiling", "robust S1 / ceiling"]
+    text = f"{len(best):,} covered groups of {bootstrap.n_scenes:,} scenes. **Ceiling: {_shown(ceiling, bootstrap)} %.**"
+    return [f"## {TASK_TITLE[task]}", text, table(header, rows)], metrics
+
+
+def _policies(covered: pl.DataFrame, scores: pl.DataFrame | None) -> list[tuple[Policy, list[pl.DataFrame]]]:
+    learned = [(policy, list(prediction_frames(covered, scores, policy.variant).values())) for policy in LEARNED]
+    return [*((policy, [covered]) for policy in (*UNLEARNED, ORACLE)), *((policy, frames) for policy, frames in learned if frames)]
+
+
+def _first_choices(frame: pl.DataFrame, policy: Policy, task: Task) -> tuple[Float[np.ndarray, "g"], Float[np.ndarray, "g"]]:
+    """Of what a policy tries first in each group: the stored success, and the mean over the replicates."""
+    first = ranked(frame, policy, task).filter(pl.col("rank") == 1).sort(task.group)
+    mean = first["outcomes"].list.eval(pl.element().cast(pl.Float64)).list.mean().fill_null(0.0)
+    return first["success"].cast(pl.Float64).to_numpy(), mean.to_numpy()
+
+
+def _flips(outcomes: pl.DataFrame) -> dict[str, float]:
+    """Share of replicates whose outcome is not the stored one, by what is stored."""
+    each = outcomes.explode("outcomes")
+    kinds = (("success_flips", each.filter("success")), ("failure_flips", each.filter(~pl.col("success"))))
+    return {name: float((own["success"] != own["outcomes"]).mean()) for name, own in kinds if own.height}  # type: ignore[arg-type]
+
+
+def _shown(draws: Draws, bootstrap: SceneBootstrap) -> str:
+    return str(draws.estimate()) if bootstrap.is_telling else f"{100 * draws.value:.1f}"
+
+
+def _metric(name: str, draws: Draws, bootstrap: SceneBootstrap) -> dict[str, float]:
+    return flat(name, draws.estimate()) if bootstrap.is_telling else {name: draws.value}

@@ -1,0 +1,146 @@
+"""How sure a mean over groups, a difference or a ratio of two is, when scenes and the trainings of a policy are resampled together.
+
+Everything that rests on the same groups shares the draws of scenes, so differences are paired. A policy that was trained several times
+has a row a training; each draw takes as many trainings as there are, with replacement, whatever those of other policies (the pigeonhole
+bootstrap: Owen, Ann. Appl. Stat. 1, 2007). A share by itself has its interval from metrics.proportion, which keeps its width near 100 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from reports.metrics import MIN_SCENES, N_DRAWS, Estimate
+from tables.identity import rng_for
+
+LEVEL = 0.95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Draws:
+    """A number and what resampling makes of it; `a - b` and `a / b` are of the same draws."""
+
+    value: float
+    draws: Float[np.ndarray, "d"]
+    n: int
+    n_scenes: int
+
+    def __sub__(self, other: Draws) -> Draws:
+        return Draws(self.value - other.value, self.draws - other.draws, self.n, self.n_scenes)
+
+    def __truediv__(self, other: Draws) -> Draws:
+        """The ratio; draws whose denominator is 0 are left out."""
+        is_defined = other.draws != 0.0
+        return Draws(self.value / other.value, self.draws[is_defined] / other.draws[is_defined], self.n, self.n_scenes)
+
+    def estimate(self) -> Estimate:
+        """The value with its percentile interval."""
+        low, high = np.quantile(self.draws, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+        return Estimate(self.value, float(low), float(high), self.n, self.n_scenes)
+
+
+class SceneBootstrap:
+    """Draws of the scenes that some groups belong to.
+
+    Args:
+        scene_ids: of every group, or whatever is counted.
+        seed: of the resampling; equal scenes and seed give equal draws.
+    """
+
+    def __init__(self, scene_ids: Sequence[str], seed: int) -> None:
+        self._names, self._scene = np.unique(np.asarray(scene_ids), return_inverse=True)
+        self._n_units = np.bincount(self._scene).astype(np.float64)
+        self._seed, self.n_scenes = seed, len(self._names)
+        if self.n_scenes:
+            rng = rng_for(seed, "bootstrap", self.n_scenes)
+            share = np.full(self.n_scenes, 1.0 / self.n_scenes)
+            self._weights = rng.multinomial(self.n_scenes, share, size=N_DRAWS).astype(np.float64)
+
+    @property
+    def is_telling(self) -> bool:
+        """Whether there are scenes enough: with fewer than `MIN_SCENES` a percentile interval is far too narrow."""
+        return self.n_scenes >= MIN_SCENES
+
+    @property
+    def unit_weights(self) -> Float[np.ndarray, "d n"]:
+        """How often each draw holds each unit."""
+        return np.asarray(self._weights[:, self._scene])
+
+    def mean(self, values: Float[np.ndarray, "n"] | Float[np.ndarray, "r n"], name: str = "") -> Draws:
+        """Mean over the units and, where there are several, the trainings.
+
+        Args:
+            values: a value a unit, or a row of them a training.
+            name: of the policy that was trained: two that were trained equally often are not drawn alike.
+        """
+        rows = np.atleast_2d(np.asarray(values, dtype=np.float64))
+        sums = np.stack([np.bincount(self._scene, weights=row, minlength=self.n_scenes) for row in rows])
+        by_training = (self._weights @ sums.T) / (self._weights @ self._n_units)[:, None]
+        r = len(rows)
+        if r > 1:
+            shares = rng_for(self._seed, "bootstrap-trainings", name, r).multinomial(r, np.full(r, 1.0 / r), size=N_DRAWS) / r
+            drawn = np.einsum("dr,dr->d", by_training, shares)
+        else:
+            drawn = by_training[:, 0]
+        return Draws(float(rows.mean()), drawn, rows.shape[1], self.n_scenes)
+
+
+def paired_difference(
+    hits_a: Bool[np.ndarray, "n"] | Float[np.ndarray, "n"],
+    hits_b: Bool[np.ndarray, "n"] | Float[np.ndarray, "n"],
+    scene_ids: Sequence[str],
+    seed: int,
+) -> Estimate | None:
+    """Share of hits of a minus that of b on the same units, with an interval from resampled scenes; None below `MIN_SCENES` scenes."""
+    bootstrap = SceneBootstrap(scene_ids, seed)
+    difference = np.asarray(hits_a, dtype=np.float64) - np.asarray(hits_b, dtype=np.float64)
+    return bootstrap.mean(difference).estimate() if bootstrap.is_telling else None
+
+
+def pairs_that_differ(means: Mapping[str, Draws]) -> set[frozenset[str]]:
+    """Pairs of policies whose difference is not 0, all pairs judged together: in 95 of 100 benchmarks none of them is named wrongly.
+
+    A difference counts where it is larger than its standard error times the 95 % point of the largest such ratio over all pairs, as the
+    draws have it (single-step max-t: Westfall and Young, 1993). A difference that every draw repeats exactly has no error.
+    """
+    pairs = {frozenset(pair): means[pair[0]] - means[pair[1]] for pair in combinations(sorted(means), 2)}
+    errors = {pair: float(np.std(difference.draws, ddof=1)) for pair, difference in pairs.items()}
+    uncertain = [pair for pair in pairs if errors[pair] > _ROUNDING]
+    if not uncertain:
+        return {pair for pair, difference in pairs.items() if abs(difference.value) > _ROUNDING}
+    ratios = np.stack([np.abs(pairs[pair].draws - pairs[pair].value) / errors[pair] for pair in uncertain])
+    critical = float(np.quantile(ratios.max(axis=0), LEVEL))
+    return {pair for pair, difference in pairs.items() if abs(difference.value) > max(critical * errors[pair], _ROUNDING)}
+
+
+def auroc_draws(scores: Float[np.ndarray, "n"], labels: Bool[np.ndarray, "n"], bootstrap: SceneBootstrap) -> Draws | None:
+    """Area under the ROC curve, ties counting half, of the units that a bootstrap was made for; None where a kind is missing.
+
+    Draws without one of both kinds are left out.
+    """
+    labels = np.asarray(labels, dtype=bool)
+    if labels.all() or not labels.any():
+        return None
+    _, level = np.unique(np.asarray(scores, dtype=np.float64), return_inverse=True)
+    order = np.argsort(level, kind="stable")
+    starts = np.searchsorted(level[order], np.arange(level.max() + 1))
+
+    def area(weights: Float[np.ndarray, "d n"]) -> Float[np.ndarray, "e"]:
+        of_true = np.add.reduceat(weights[:, order] * labels[order], starts, axis=1)
+        of_false = np.add.reduceat(weights[:, order] * ~labels[order], starts, axis=1)
+        below = np.cumsum(of_false, axis=1) - of_false
+        total = of_true.sum(axis=1) * of_false.sum(axis=1)
+        won = (of_true * (below + 0.5 * of_false)).sum(axis=1)
+        return np.asarray(won[total > 0.0] / total[total > 0.0])
+
+    value = float(area(np.ones((1, len(labels))))[0])
+    parts = np.array_split(bootstrap.unit_weights, max(1, N_DRAWS * len(labels) // _CELLS))
+    return Draws(value, np.concatenate([area(part) for part in parts]), len(labels), bootstrap.n_scenes)
+
+
+_ROUNDING = 1e-12
+_CELLS = 2_000_000  # of draws x units that are in memory at once
