@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
 import pyarrow as pa
 import trimesh
 from jaxtyping import UInt8
-from PIL import Image, ImageDraw, ImageFont
 
 from objects.gripper import gripper_boxes, open_jaw_m
 from objects.object_model import ObjectModel, TriangleMesh
@@ -20,8 +17,10 @@ from pipelines.decoded import Decoded
 from pipelines.engines.robot.geometry import moved
 from pipelines.frames import frame_of
 from pipelines.labels.planning import motion_of
-from pipelines.pictures.filmstrip import render_execution_frames
+from pipelines.pictures.filmstrip import execution_frames
+from pipelines.pictures.recording import record_execution
 from pipelines.pictures.renderer import Renderer, View
+from pipelines.pictures.sheet import Tile, sheet
 from pipelines.pictures.views import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, render_scene, shrunk
 from pipelines.recipe import Recipe
 from pipelines.values import Scene
@@ -40,14 +39,6 @@ _N_GRASPS_DRAWN = 8
 _GRASP_RGBS = ((0.0, 0.45, 0.70), (0.90, 0.62, 0.0), (0.0, 0.62, 0.45), (0.80, 0.47, 0.65), (0.34, 0.71, 0.91), (0.84, 0.37, 0.0))
 
 
-@dataclass(frozen=True, slots=True)
-class _Tile:
-    """A picture and the line under it."""
-
-    picture: UInt8[np.ndarray, "h w 3"]
-    caption: str
-
-
 def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe | None, *, tier: str, n_films: int, why_no_films: str = "") -> Report:
     """Report `gallery`: what a release looks like.
 
@@ -62,10 +53,10 @@ def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe | None, *, tie
     object_models, scenes, grasps = release.object_models, release.scenes, release.grasp_rows
     shown = [object_models[name] for name in sorted({scene.object_id for scene in scenes.values()})]
     figures = {
-        "gallery-objects": _sheet([tile for object_model in shown for tile in _object_tiles(object_model)], 6),
-        "gallery-title": _sheet([_title_tile(scenes, object_models, grasps)], 1),
-        "gallery-scenes": _sheet([_scene_tile(scenes[name], object_models) for name in sorted(scenes)[:_N_SCENES]], 4),
-        "gallery-grasps": _sheet([_grasp_tile(scene, object_models, grasps[scene.scene_id]) for scene in _one_an_object(scenes)], 5),
+        "gallery-objects": sheet([tile for object_model in shown for tile in _object_tiles(object_model)], 6),
+        "gallery-title": sheet([_title_tile(scenes, object_models, grasps)], 1),
+        "gallery-scenes": sheet([_scene_tile(scenes[name], object_models) for name in sorted(scenes)[:_N_SCENES]], 4),
+        "gallery-grasps": sheet([_grasp_tile(scene, object_models, grasps[scene.scene_id]) for scene in _one_an_object(scenes)], 5),
     }
     blocks = [
         f"# Gallery of tier {tier}",
@@ -81,12 +72,12 @@ def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe | None, *, tie
     if recipe is None:
         blocks.append(f"## Executions\n\nNo films: {why_no_films}.")
     for status, strips in _films(tables, release, recipe, n_films).items() if recipe is not None else ():
-        figures[f"gallery-{status}"] = _sheet(strips, _N_FRAMES)
+        figures[f"gallery-{status}"] = sheet(strips, _N_FRAMES)
         blocks += [f"## Executions that ended as {status.replace('_', ' ')}", f"![{status}](gallery-{status}.png)"]
     return Report("gallery", "\n\n".join(blocks) + "\n", figures)
 
 
-def _object_tiles(object_model: ObjectModel) -> list[_Tile]:
+def _object_tiles(object_model: ObjectModel) -> list[Tile]:
     """An object in its own frame: its convex parts, and its pool."""
     size_m = float(np.ptp(object_model.mesh.vertices_m, axis=0).max())
     grippers: dict[str, list[TriangleMesh]] = {}
@@ -98,8 +89,8 @@ def _object_tiles(object_model: ObjectModel) -> list[_Tile]:
     pool = [(_joined(grippers[kind]), _GRASP_RGBS[k % len(_GRASP_RGBS)]) for k, kind in enumerate(sorted(grippers))]
     kinds = ", ".join(f"{len(grippers[kind])} {kind}" for kind in sorted(grippers))
     return [
-        _Tile(_close_up(parts, 0.55 * size_m + 0.02), f"{object_model.object_id}, convex parts: {len(object_model.parts)}"),
-        _Tile(_close_up([(object_model.mesh, OBJECT_RGB), *pool], 0.55 * size_m + 0.09), kinds),
+        Tile(_close_up(parts, 0.55 * size_m + 0.02), f"{object_model.object_id}, convex parts: {len(object_model.parts)}"),
+        Tile(_close_up([(object_model.mesh, OBJECT_RGB), *pool], 0.55 * size_m + 0.09), kinds),
     ]
 
 
@@ -127,7 +118,7 @@ def _one_an_object(scenes: Mapping[str, Scene]) -> list[Scene]:
 
 
 def _scene_tile(scene: Scene, object_models: Mapping[str, ObjectModel]) -> _Tile:
-    return _Tile(render_scene(object_models[scene.object_id], scene, _TILE_PX), f"{scene.scene_id} {scene.object_id}")
+    return Tile(render_scene(object_models[scene.object_id], scene, _TILE_PX), f"{scene.scene_id} {scene.object_id}")
 
 
 def _grasp_tile(scene: Scene, object_models: Mapping[str, ObjectModel], rows: Sequence[Row]) -> _Tile:
@@ -137,7 +128,7 @@ def _grasp_tile(scene: Scene, object_models: Mapping[str, ObjectModel], rows: Se
     x, y, z = scene.T_base_object[:3, 3]
     view = View((x - 0.30, y + 0.38, z + 0.33), (x, y, z + 0.02), 40.0, 2 * _TILE_PX[0], 2 * _TILE_PX[1])
     picture = _picture_of_grasps(scene, object_models[scene.object_id], drawn, view, show_targets=False)
-    return _Tile(picture, f"{scene.object_id}: {len(drawn)} of {len(lifted)} lifted grasps")
+    return Tile(picture, f"{scene.object_id}: {len(drawn)} of {len(lifted)} lifted grasps")
 
 
 def _title_tile(scenes: Mapping[str, Scene], object_models: Mapping[str, ObjectModel], grasps: Mapping[str, list[Row]]) -> _Tile:
@@ -147,7 +138,7 @@ def _title_tile(scenes: Mapping[str, Scene], object_models: Mapping[str, ObjectM
     view = View((1.25, 0.62, 0.62), (0.44, 0.0, 0.04), 36.0, 2 * _TITLE_PX[0], 2 * _TITLE_PX[1])
     drawn = lifted[:: max(1, len(lifted) // 4)][:4]
     picture = _picture_of_grasps(scene, object_models[scene.object_id], drawn, view, show_targets=True)
-    return _Tile(picture, f"{scene.scene_id} {scene.object_id}: object blue, obstacles brown, targets green, {len(drawn)} of its grasps")
+    return Tile(picture, f"{scene.scene_id} {scene.object_id}: object blue, obstacles brown, targets green, {len(drawn)} of its grasps")
 
 
 def _picture_of_grasps(
@@ -189,7 +180,7 @@ def _gripper_glyph(jaw_m: float, thickness: float = 0.25) -> TriangleMesh:
     return TriangleMesh(np.asarray(glyph.vertices), np.asarray(glyph.faces, dtype=np.int64))
 
 
-def _films(tables: Mapping[str, pa.Table], release: Decoded, recipe: Recipe, n_films: int) -> dict[str, list[_Tile]]:
+def _films(tables: Mapping[str, pa.Table], release: Decoded, recipe: Recipe, n_films: int) -> dict[str, list[Tile]]:
     executed = frame_of(tables["candidates"], ["candidate_id", "exec_status"]).filter(pl.col("exec_status").is_not_null())
     by_status = {status: executed.filter(pl.col("exec_status") == status.value)["candidate_id"].to_list() for status in ExecStatus}
     return {
@@ -203,34 +194,12 @@ def _films(tables: Mapping[str, pa.Table], release: Decoded, recipe: Recipe, n_f
     }
 
 
-def _film(release: Decoded, candidate_id: str, recipe: Recipe) -> list[_Tile]:
+def _film(release: Decoded, candidate_id: str, recipe: Recipe) -> list[Tile]:
     candidate, plan = release.candidate(candidate_id), release.plan(candidate_id)
     if plan is None:
         raise ReportError(f"{candidate_id}: was executed, but has no row in plans")
-    _, frames = render_execution_frames(
-        release.object_model_of(candidate),
-        candidate,
-        motion_of(candidate, plan, recipe.planning),
-        recipe.execution_setup,
-        n_frames=_N_FRAMES,
-        size_px=_FRAME_PX,
-    )
-    tiles = [_Tile(frame.picture, f"{frame.phase.value} {frame.time_s:.2f} s") for frame in frames]
-    return [_Tile(tiles[0].picture, f"{candidate_id} {tiles[0].caption}"), *tiles[1:]]
-
-
-def _sheet(tiles: Sequence[_Tile], n_columns: int) -> bytes:
-    """PNG of tiles in rows, each with its caption below."""
-    height, width = tiles[0].picture.shape[:2]
-    strip_px = 20
-    n_rows = -(-len(tiles) // n_columns)
-    sheet = Image.new("RGB", (n_columns * width, n_rows * (height + strip_px)), "white")
-    pen = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(13)
-    for k, tile in enumerate(tiles):
-        x, y = (k % n_columns) * width, (k // n_columns) * (height + strip_px)
-        sheet.paste(Image.fromarray(tile.picture), (x, y))
-        pen.text((x + 4, y + height + 2), tile.caption, fill="black", font=font)
-    out = io.BytesIO()
-    sheet.save(out, "PNG", optimize=True)
-    return out.getvalue()
+    motion = motion_of(candidate, plan, recipe.planning)
+    recording = record_execution(release.object_model_of(candidate), candidate, motion, recipe.execution_setup)
+    frames = execution_frames(recording, _N_FRAMES, _FRAME_PX)
+    tiles = [Tile(frame.picture, f"{frame.phase.value} {frame.time_s:.2f} s") for frame in frames]
+    return [Tile(tiles[0].picture, f"{candidate_id} {tiles[0].caption}"), *tiles[1:]]

@@ -1,22 +1,28 @@
-"""Pictures of one execution, from lift to rest, for people; what happens in them is decided in labels.execution."""
+"""Pictures of one candidate for people: an execution from lift to rest as strip and film, a rejection as it would have been placed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from objects.object_model import ObjectModel
-from pipelines.codecs import Row
-from pipelines.engines.physics.hand_world import HandWorld
+from objects.gripper import gripper_boxes, open_jaw_m
 from pipelines.engines.physics.phases import Phase
-from pipelines.labels.execution import ExecutionSetup, execute_candidate
-from pipelines.pictures.renderer import Renderer
+from pipelines.pictures.recording import Moment, Recording
+from pipelines.pictures.renderer import Renderer, Rgb, View
+from pipelines.pictures.sheet import Tile, moving, sheet
 from pipelines.pictures.views import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, picture_view, shrunk
-from pipelines.values import Candidate, Motion, Scene
 
+PLACE_HAND_RGB: Rgb = (0.84, 0.37, 0.0)  # the hand at the place of a candidate that was not planned
 _GHOST_OPACITY = 0.4
+_STRIP_FRAMES = 8
+_STRIP_COLUMNS = 4
+_STRIP_PX = (320, 240)
+_GIF_PX = (400, 300)
+_GIF_FRAMES_A_SECOND = 12.0
+_GIF_LAST_S = 1.5  # the end is looked at
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,70 +34,92 @@ class Frame:
     picture: UInt8[np.ndarray, "h w 3"]
 
 
-def render_execution_frames(
-    object_model: ObjectModel,
-    candidate: Candidate,
-    motion: Motion,
-    setup: ExecutionSetup,
-    *,
-    n_frames: int = 6,
-    size_px: tuple[int, int] = (320, 240),
-) -> tuple[Row, list[Frame]]:
-    """Run a candidate as its label was made and photograph it.
-
-    Frames are spread evenly over time, the last is the end. The target is a green ghost.
-
-    Returns:
-        The row of `execution_labels`, and `n_frames` frames.
-    """
-    with HandWorld(object_model, candidate.scene.obstacles, setup.physics) as world:
-        film = _Film(world)
-        row = execute_candidate(world, candidate, motion, setup, film.watch)
-    picked = np.unique(np.linspace(0, len(film.states) - 1, n_frames).round().astype(int))
-    return row, _pictures(object_model, candidate.scene, candidate.target.T_base_target, [film.states[k] for k in picked], size_px)
+def execution_frames(recording: Recording, n_frames: int = 6, size_px: tuple[int, int] = (320, 240)) -> list[Frame]:
+    """Photographs of an execution, spread evenly over time, the last is the end; the target is a green ghost."""
+    picked = np.unique(np.linspace(0, len(recording.moments) - 1, n_frames).round().astype(int))
+    return _frames(recording, [recording.moments[k] for k in picked], size_px)
 
 
-@dataclass(frozen=True, slots=True)
-class _State:
-    phase: Phase
-    time_s: float
-    q_rad: Float[np.ndarray, "7"]
-    fingers_m: Float[np.ndarray, "2"]
-    T_base_object: Float[np.ndarray, "4 4"]
+def filmstrip(recording: Recording) -> bytes:
+    """PNG: an execution in eight pictures, or a rejection in two, with phases, times and the verdict in words."""
+    if not recording.is_executed:
+        return sheet(_rejection_tiles(recording, _STRIP_PX), 2, _title(recording))
+    frames = execution_frames(recording, _STRIP_FRAMES, _STRIP_PX)
+    return sheet([Tile(frame.picture, _caption(frame)) for frame in frames], _STRIP_COLUMNS, _title(recording))
 
 
-@dataclass(slots=True)
-class _Film:
-    world: HandWorld
-    states: list[_State] = field(default_factory=list)
+def film(recording: Recording) -> bytes:
+    """GIF in real time: an execution and its end, or the two pictures of a rejection in turn."""
+    if not recording.is_executed:
+        return moving(_rejection_tiles(recording, _GIF_PX), [_GIF_LAST_S, 2 * _GIF_LAST_S])
+    wanted = np.arange(0.0, recording.moments[-1].time_s, 1.0 / _GIF_FRAMES_A_SECOND)
+    times_s = np.array([moment.time_s for moment in recording.moments])
+    picked = np.unique([*(int(np.abs(times_s - t).argmin()) for t in wanted), len(times_s) - 1])
+    frames = _frames(recording, [recording.moments[k] for k in picked], _GIF_PX)
+    tiles = [Tile(frame.picture, f"{recording.candidate.candidate_id}  {_caption(frame)}") for frame in frames]
+    tiles[-1] = Tile(frames[-1].picture, recording.verdict)
+    return moving(tiles, [*np.diff(times_s[picked]).tolist(), _GIF_LAST_S])
 
-    def watch(self, phase: Phase) -> bool:
-        # The arm leaves the world before the object settles; in the pictures it stays where it was.
-        arm = self.world.arm_state() if self.world.has_robot else (self.states[-1].q_rad, self.states[-1].fingers_m)
-        self.states.append(_State(phase, self.world.n_steps * self.world.params.dt_s, *arm, self.world.object_pose()))
-        return False
+
+def _title(recording: Recording) -> str:
+    labels, parts = recording.labels, [recording.verdict]
+    if labels.get("final_position_error_m") is not None:
+        degrees = np.rad2deg(labels["final_rotation_error_rad"])
+        parts.append(f"{1e3 * labels['final_position_error_m']:.1f} mm and {degrees:.1f} deg from the target")
+    return f"{'; '.join(parts)} ({recording.object_model.object_id})"
 
 
-def _pictures(
-    object_model: ObjectModel, scene: Scene, T_base_target: Float[np.ndarray, "4 4"], states: list[_State], size_px: tuple[int, int]
-) -> list[Frame]:
-    view = picture_view(size_px, (scene.T_base_object[:2, 3] + T_base_target[:2, 3]) / 2)
-    frames = []
+def _caption(frame: Frame) -> str:
+    return f"{frame.phase.value}  {frame.time_s:.2f} s"
+
+
+def _rejection_tiles(recording: Recording, size_px: tuple[int, int]) -> list[Tile]:
+    """The state after the lift, and beside it the hand at the place: boxes, because no arm was found that brings it there."""
+    grasp = recording.candidate.grasp
+    (start,) = _frames(recording, recording.moments, size_px)
+    jaw_m = open_jaw_m(recording.object_model.grasp(grasp.grasp_id).jaw_width_m)
+    view = _view(recording, size_px)
     with Renderer() as renderer:
-        add_table(renderer)
-        for obstacle in scene.obstacles:
-            renderer.add_box(obstacle.size_m, obstacle.T_base_obstacle, OBSTACLE_RGB)
+        _add_scene(renderer, recording)
+        for T_tcp_box, size_m in zip(*gripper_boxes(jaw_m), strict=True):
+            renderer.add_box(size_m, recording.T_base_place @ T_tcp_box, PLACE_HAND_RGB)
+        renderer.add_mesh(recording.object_model.mesh, recording.candidate.target.T_base_target, GHOST_RGB)
+        picture = shrunk(renderer.photograph(view).rgb.astype(np.float64))
+    status = recording.labels["plan_status"]
+    return [Tile(start.picture, "after the lift, where planning starts"), Tile(picture, f"hand and object at the place: {status}")]
+
+
+def _frames(recording: Recording, moments: Sequence[Moment], size_px: tuple[int, int]) -> list[Frame]:
+    view, frames = _view(recording, size_px), []
+    with Renderer() as renderer:
+        _add_scene(renderer, recording)
         robot = renderer.add_robot()
-        body = renderer.add_mesh(object_model.mesh, scene.T_base_object, OBJECT_RGB)
-        ghost = renderer.add_mesh(object_model.mesh, T_base_target, GHOST_RGB)
-        T_away = np.eye(4)
-        T_away[2, 3] = -10.0
-        for state in states:
-            renderer.pose_robot(robot, state.q_rad, state.fingers_m)
-            renderer.move(body, state.T_base_object)
-            renderer.move(ghost, T_away)
+        body = renderer.add_mesh(recording.object_model.mesh, recording.candidate.scene.T_base_object, OBJECT_RGB)
+        T_base_target = recording.candidate.target.T_base_target
+        ghost = renderer.add_mesh(recording.object_model.mesh, T_base_target, GHOST_RGB)
+        for moment in moments:
+            renderer.pose_robot(robot, moment.q_rad, moment.fingers_m)
+            renderer.move(body, moment.T_base_object)
+            renderer.move(ghost, _away())
             picture = renderer.photograph(view).rgb.astype(np.float64)
             renderer.move(ghost, T_base_target)
             picture += _GHOST_OPACITY * (renderer.photograph(view).rgb - picture)
-            frames.append(Frame(state.phase, state.time_s, shrunk(picture)))
+            frames.append(Frame(moment.phase, moment.time_s, shrunk(picture)))
     return frames
+
+
+def _view(recording: Recording, size_px: tuple[int, int]) -> View:
+    scene, target = recording.candidate.scene, recording.candidate.target
+    return picture_view(size_px, (scene.T_base_object[:2, 3] + target.T_base_target[:2, 3]) / 2)
+
+
+def _add_scene(renderer: Renderer, recording: Recording) -> None:
+    add_table(renderer)
+    for obstacle in recording.candidate.scene.obstacles:
+        renderer.add_box(obstacle.size_m, obstacle.T_base_obstacle, OBSTACLE_RGB)
+
+
+def _away() -> Float[np.ndarray, "4 4"]:
+    T = np.eye(4)
+    T[2, 3] = -10.0
+    return T

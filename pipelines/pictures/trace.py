@@ -1,139 +1,138 @@
-"""An execution as an MCAP file (joint states, object pose, contacts, phase) and back; see labels/execution.py for how it is run."""
+"""One candidate as an MCAP file with Foxglove's well-known schemas, for any viewer that reads them; what stands in it is trace_scene.py's.
+
+Topics: `/tf` (FrameTransforms: links, TCP, object, obstacles, target, place pose of the hand, all below `base`), `/joint_states`
+(JointStates), `/scene` (SceneUpdate), `/points` (PointCloud of the initial scene), `/log` (Log: every phase as it begins, and the verdict)
+and, without a well-known schema, `/contacts` (JSON). Times are simulated, from zero. Metadata record `placebench`: ids and hashes.
+"""
 
 from __future__ import annotations
 
+import io
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from collections.abc import Mapping, Sequence
+from importlib import metadata as packages
+from typing import Any
 
-import numpy as np
-from jaxtyping import Float, Int
-from mcap.reader import make_reader
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.JointState_pb2 import JointState
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import register_schema
 
-from pipelines.engines.physics.hand_world import HandWorld
-from pipelines.engines.physics.phases import Phase
-from tables.errors import PlaceBenchError
-from tables.poses import matrix_of, pose_of
+from pipelines.codecs import Row
+from pipelines.pictures.recording import Moment, Recording
+from pipelines.pictures.trace_scene import BASE, JOINTS, POINT_TYPES, bodies, cloud, frames_at, pose_message
+from tables.vocabulary import ExecStatus
 
-_NUMBERS = {"type": "array", "items": {"type": "number"}}
-_SCHEMAS: dict[str, dict[str, Any]] = {
-    "joint_states": {"q_rad": _NUMBERS, "fingers_m": _NUMBERS},
-    "object_pose": {"position_m": _NUMBERS, "quaternion_xyzw": _NUMBERS},
-    "contacts": {"robot_object_n": {"type": "number"}, "object_fixed_n": {"type": "number"}},
-    "phase": {"phase": {"type": "string", "enum": [phase.value for phase in Phase]}},
+METADATA = "placebench"
+_CONTACTS = {
+    "type": "object",
+    "properties": {
+        "robot_object_n": {"type": "number", "description": "net force of the hand on the object, N"},
+        "object_fixed_n": {"type": "number", "description": "net forces of table and obstacles on the object, summed, N"},
+    },
 }
-_METADATA = "execution"
 
 
-class TraceError(PlaceBenchError, ValueError):
-    """A file that is not a trace of ours."""
-
-
-@dataclass(frozen=True, slots=True)
-class Trace:
-    """An execution, sample by sample; arm and fingers are NaN after the hand was taken out of the world.
-
-    Contact forces are net forces of each pair in newton: of the hand on the object, and of table and obstacles on the object.
-    """
-
-    metadata: dict[str, str]
-    step: Int[np.ndarray, "n"]
-    time_s: Float[np.ndarray, "n"]
-    phase: tuple[Phase, ...]
-    q_rad: Float[np.ndarray, "n 7"]
-    fingers_m: Float[np.ndarray, "n 2"]
-    T_base_object: Float[np.ndarray, "n 4 4"]
-    robot_object_n: Float[np.ndarray, "n"]
-    object_fixed_n: Float[np.ndarray, "n"]
-
-
-class TraceRecorder:
-    """Context manager that writes what a world does; `record` is a watch of a rollout. Equal executions give equal bytes.
+def trace(recording: Recording, point_rows: Sequence[Row], identity: Mapping[str, str]) -> bytes:
+    """The bytes of the file: zstd chunks, indexed; equal recordings give equal bytes.
 
     Args:
-        path: the file to write.
-        world: the world that runs.
-        metadata: what identifies the execution, for example its candidate id.
+        point_rows: rows of `scene_points` of the scene; none leaves the topic out.
+        identity: written to the metadata record beside candidate, object and statuses: hashes of recipe and release.
     """
+    out = io.BytesIO()
+    writer = _Writer(out)
+    writer.metadata({**_about(recording), **identity})
+    first, last = recording.moments[0], recording.moments[-1]
+    writer.send("/scene", bodies(recording), 0.0)
+    if point_rows:
+        writer.send("/points", cloud(point_rows), 0.0)
+    phase = None
+    for moment in recording.moments:
+        if recording.is_executed and moment.phase is not phase:
+            phase = moment.phase
+            writer.log(Log.INFO, phase.value, moment.time_s)
+        writer.send("/tf", _transforms(recording, moment), moment.time_s)
+        writer.send("/joint_states", _joints(moment), moment.time_s)
+        writer.contacts(moment)
+    is_success = recording.labels.get("exec_status") == ExecStatus.SUCCESS.value
+    writer.log(Log.INFO if is_success else Log.WARNING, recording.verdict, last.time_s if recording.is_executed else first.time_s)
+    writer.finish()
+    return out.getvalue()
 
-    def __init__(self, path: Path, world: HandWorld, metadata: Mapping[str, str]) -> None:
-        self._path, self._world, self._metadata = path, world, dict(metadata)
 
-    def __enter__(self) -> Self:
-        self._file = self._path.open("wb")
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-        # No library versions and no clock: times are simulated, so that the bytes depend on the execution only.
-        self._writer.start(profile="placebench", library="placebench")
-        self._channels = {}
-        for topic, properties in _SCHEMAS.items():
-            properties = {"step": {"type": "integer"}, **properties}
-            schema = {"type": "object", "properties": properties, "required": list(properties)}
-            number = self._writer.register_schema(f"placebench.{topic}", "jsonschema", json.dumps(schema, sort_keys=True).encode())
-            self._channels[topic] = self._writer.register_channel(f"/{topic}", "json", number)
-        self._writer.add_metadata(_METADATA, self._metadata)
-        return self
+def _about(recording: Recording) -> dict[str, str]:
+    labels = recording.labels
+    statuses = {name: str(labels[name]) for name in ("plan_status", "exec_status") if labels.get(name) is not None}
+    return {
+        "candidate_id": recording.candidate.candidate_id,
+        "scene_id": recording.candidate.scene.scene_id,
+        "object_id": recording.object_model.object_id,
+        "point_types": ", ".join(f"{k} {kind.value}" for k, kind in enumerate(POINT_TYPES)),
+        **statuses,
+    }
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+
+def _transforms(recording: Recording, moment: Moment) -> FrameTransforms:
+    stamp, messages = _stamp(moment.time_s), []
+    for name, T in frames_at(recording, moment).items():
+        pose = pose_message(T)
+        messages.append(
+            FrameTransform(timestamp=stamp, parent_frame_id=BASE, child_frame_id=name, translation=pose.position, rotation=pose.orientation)
+        )
+    return FrameTransforms(transforms=messages)
+
+
+def _joints(moment: Moment) -> JointStates:
+    positions = [*moment.q_rad.tolist(), *moment.fingers_m.tolist()]
+    joints = [JointState(name=name, position=position) for name, position in zip(JOINTS, positions, strict=True)]
+    return JointStates(timestamp=_stamp(moment.time_s), joints=joints)
+
+
+def _ns(time_s: float) -> int:
+    return round(time_s * 1e9)
+
+
+def _stamp(time_s: float) -> Timestamp:
+    return Timestamp(seconds=_ns(time_s) // 10**9, nanos=_ns(time_s) % 10**9)
+
+
+class _Writer:
+    """Messages onto topics; schemas and channels are written when they are first needed."""
+
+    def __init__(self, out: io.BytesIO) -> None:
+        self._writer = Writer(out, compression=CompressionType.ZSTD)
+        self._channels: dict[str, int] = {}
+        # No clock and no version but that of the schemas: the bytes depend on the execution.
+        self._writer.start(profile="", library=f"placebench, foxglove-schemas-protobuf {packages.version('foxglove-schemas-protobuf')}")
+
+    def metadata(self, values: Mapping[str, str]) -> None:
+        self._writer.add_metadata(METADATA, dict(sorted(values.items())))
+
+    def send(self, topic: str, message: Any, time_s: float) -> None:
+        if "timestamp" in message.DESCRIPTOR.fields_by_name:
+            message.timestamp.CopyFrom(_stamp(time_s))
+        if topic not in self._channels:
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", register_schema(self._writer, type(message)))
+        self._add(topic, message.SerializeToString(deterministic=True), time_s)
+
+    def log(self, level: Log.Level.ValueType, text: str, time_s: float) -> None:
+        self.send("/log", Log(level=level, message=text, name="placebench"), time_s)
+
+    def contacts(self, moment: Moment) -> None:
+        topic = "/contacts"
+        if topic not in self._channels:
+            schema = self._writer.register_schema("placebench.Contacts", "jsonschema", json.dumps(_CONTACTS, sort_keys=True).encode())
+            self._channels[topic] = self._writer.register_channel(topic, "json", schema)
+        values = {"robot_object_n": moment.robot_object_n, "object_fixed_n": moment.object_fixed_n}
+        self._add(topic, json.dumps(values, sort_keys=True).encode(), moment.time_s)
+
+    def finish(self) -> None:
         self._writer.finish()
-        self._file.close()
 
-    def record(self, phase: Phase) -> bool:
-        """Write the world's present state; never ends a motion."""
-        world = self._world
-        if world.has_robot:
-            q, fingers_m = world.arm_state()
-            self._write("joint_states", {"q_rad": q.tolist(), "fingers_m": fingers_m.tolist()})
-        pose = pose_of(world.object_pose()).tolist()
-        self._write("object_pose", {"position_m": pose[:3], "quaternion_xyzw": pose[3:]})
-        fixed_n = sum(world.force_n("object", name) for name in world.fixed_bodies)
-        contacts = {
-            "robot_object_n": world.force_n("robot", "object"),
-            "object_fixed_n": fixed_n,
-        }
-        self._write("contacts", contacts)
-        self._write("phase", {"phase": phase.value})
-        return False
-
-    def _write(self, topic: str, message: Mapping[str, Any]) -> None:
-        time_ns = round(self._world.n_steps * self._world.params.dt_s * 1e9)
-        data = json.dumps({"step": self._world.n_steps, **message}, sort_keys=True).encode()
-        self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
-
-
-def read_trace(path: Path) -> Trace:
-    """A trace as arrays.
-
-    Raises:
-        TraceError: the file is no MCAP file or holds other topics than ours.
-    """
-    samples: dict[int, dict[str, Any]] = {}
-    with path.open("rb") as file:
-        try:
-            reader = make_reader(file)
-            metadata = next((dict(record.metadata) for record in reader.iter_metadata() if record.name == _METADATA), None)
-            for _, channel, message in reader.iter_messages():
-                content = json.loads(message.data)
-                samples.setdefault(content["step"], {"time_s": message.log_time * 1e-9})[channel.topic.removeprefix("/")] = content
-        except Exception as error:  # whatever the parser meets in a foreign file
-            raise TraceError(f"{path}: {error}") from error
-    if metadata is None:
-        raise TraceError(f"{path}: no metadata record {_METADATA!r}; not a trace of an execution")
-    ordered = [samples[step] for step in sorted(samples)]
-    nothing = {"q_rad": [np.nan] * 7, "fingers_m": [np.nan] * 2}
-    joints = [sample.get("joint_states", nothing) for sample in ordered]
-    poses = [sample["object_pose"]["position_m"] + sample["object_pose"]["quaternion_xyzw"] for sample in ordered]
-    return Trace(
-        metadata=metadata,
-        step=np.array(sorted(samples), dtype=np.int64),
-        time_s=np.array([sample["time_s"] for sample in ordered]),
-        phase=tuple(Phase(sample["phase"]["phase"]) for sample in ordered),
-        q_rad=np.array([joint["q_rad"] for joint in joints]).reshape(-1, 7),
-        fingers_m=np.array([joint["fingers_m"] for joint in joints]).reshape(-1, 2),
-        T_base_object=matrix_of(np.array(poses).reshape(-1, 7)),
-        robot_object_n=np.array([sample["contacts"]["robot_object_n"] for sample in ordered]),
-        object_fixed_n=np.array([sample["contacts"]["object_fixed_n"] for sample in ordered]),
-    )
+    def _add(self, topic: str, data: bytes, time_s: float) -> None:
+        self._writer.add_message(self._channels[topic], log_time=_ns(time_s), data=data, publish_time=_ns(time_s))

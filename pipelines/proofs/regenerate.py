@@ -2,7 +2,8 @@
 
 Scenes of a release are compared by splits.regenerate.
 
-`python -m pipelines.regenerate full-0042` or `python -m pipelines.regenerate full-0042-t3-g17`
+`python -m pipelines.regenerate full-0042` or `python -m pipelines.regenerate full-0042-t3-g17`; a candidate also as a film, see shown.py:
+`python -m pipelines.regenerate full-0042-t3-g17 --mcap out.mcap --filmstrip out.png --gif out.gif`
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from objects.build import build_object, build_object_models, object_models_of
 from objects.catalogue import catalogue_order, load_catalogue
 from objects.object_model import ObjectModel
 from pipelines.codecs import Row, known_in, rows_by_scene
+from pipelines.proofs.shown import ShownError, add_film_flags, show
 from pipelines.recipe import DEFAULT_RECIPE, Recipe, RecipeError, load_recipe
 from pipelines.running.data_root import DataRoot
 from pipelines.scenes.allocation import scene_allocation
@@ -55,6 +57,22 @@ def regenerate(
     Raises:
         IdentityError: neither a scene nor a candidate, or a candidate that does not exist because its grasp did not lift.
     """
+    return compared(make_again(name, recipe_path, object_models), root)
+
+
+@dataclass(frozen=True, slots=True)
+class MadeAgain:
+    """Rows by table of a scene or of one candidate, in key order, and what made them; `candidate` is None for a scene."""
+
+    recipe: Recipe
+    object_model: ObjectModel
+    scene_id: str
+    candidate: CandidateId | None
+    rows: dict[str, list[Row]]
+
+
+def make_again(name: str, recipe_path: Path = DEFAULT_RECIPE, object_models: dict[str, ObjectModel] | None = None) -> MadeAgain:
+    """The rows alone, compared with nothing; arguments and errors are those of `regenerate`."""
     candidate = parse_candidate_id(name) if "-t" in name else None
     scene_id = candidate.scene_id if candidate else name
     recipe = load_recipe(parse_scene_id(scene_id)[0], recipe_path)
@@ -66,7 +84,12 @@ def regenerate(
     rows = _make_rows(recipe, object_models[allocation.object_id], allocation, candidate)
     if candidate and not any(row["candidate_id"] == name for row in rows["planning_labels"]):
         raise IdentityError(f"{name}: grasp {candidate.grasp_id} is not among the lifted grasps of {scene_id}")
-    return [_comparison(table, some, root, scene_id, candidate) for table, some in rows.items()]
+    return MadeAgain(recipe, object_models[allocation.object_id], scene_id, candidate, rows)
+
+
+def compared(made: MadeAgain, root: DataRoot) -> list[Comparison]:
+    """Every table that was made again beside what a data folder has of it."""
+    return [_comparison(table, some, root, made.scene_id, made.candidate) for table, some in made.rows.items()]
 
 
 def rows_of_scene(scene_id: str, recipe_path: Path = DEFAULT_RECIPE) -> dict[str, list[Row]]:
@@ -132,16 +155,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("name", help="a scene id or a candidate id")
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder to compare with")
     parser.add_argument("--recipe", type=Path, default=DEFAULT_RECIPE)
+    add_film_flags(parser)
     chosen = parser.parse_args(arguments)
     try:
-        comparisons = regenerate(chosen.name, DataRoot(chosen.data), chosen.recipe)
-    except (IdentityError, RecipeError) as error:
+        made = make_again(chosen.name, chosen.recipe)
+        comparisons = compared(made, DataRoot(chosen.data))
+        words = {True: "identical", False: "DIFFERENT", None: "not stored"}
+        for c in comparisons:
+            print(f"{c.table:18s} {c.rows:6d} rows  {c.fresh_hash[:16]}  {words[c.is_identical]}")
+        found = {c.is_identical for c in comparisons}
+        if False not in found and show(chosen, made.recipe, made.object_model, made.rows):
+            found.add(True)
+    except (IdentityError, RecipeError, ShownError) as error:
         print(error, file=sys.stderr)
         return 1
-    words = {True: "identical", False: "DIFFERENT", None: "not stored"}
-    for c in comparisons:
-        print(f"{c.table:18s} {c.rows:6d} rows  {c.fresh_hash[:16]}  {words[c.is_identical]}")
-    found = {c.is_identical for c in comparisons}
     return 1 if False in found else 2 if found == {None} else 0
 
 

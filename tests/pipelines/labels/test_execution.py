@@ -16,7 +16,8 @@ from pipelines.engines.physics.phases import Phase
 from pipelines.engines.robot.arm import fk, follow_line
 from pipelines.labels.execution import ExecutionParams, ExecutionSetup, execute_candidate, execute_perturbed, execution_rows
 from pipelines.labels.planning import PlanningParams
-from pipelines.pictures.filmstrip import render_execution_frames
+from pipelines.pictures.filmstrip import execution_frames
+from pipelines.pictures.recording import record_execution
 from pipelines.scenes.tabletop import standing
 from pipelines.values import Candidate, Motion, Obstacle, Scene, Target
 from tables import schemas
@@ -172,7 +173,8 @@ def test_perturbations_change_what_they_say(perturbation: Perturbation) -> None:
 def test_a_film_shows_the_run_of_the_label() -> None:
     case = lifted("can")
     candidate, plan = case.planned[0]
-    row, frames = render_execution_frames(case.object_model, candidate, plan, SETUP, n_frames=4, size_px=(120, 90))
+    recording = record_execution(case.object_model, candidate, plan, SETUP)
+    row, frames = recording.labels, execution_frames(recording, n_frames=4, size_px=(120, 90))
     assert row == _run(case, candidate, plan)
     assert [frame.picture.shape for frame in frames] == [(90, 120, 3)] * 4
     assert frames[0].phase is Phase.HOLD

@@ -1,71 +1,148 @@
-"""A trace reads back what ran, equal runs give equal bytes, and what is no trace is refused."""
+"""A trace reads back what ran, by mcap's own reader and by Rerun's; equal runs give equal bytes; a rejection says what it is."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import io
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from pipelines.codecs import Row, pose_in
-from pipelines.engines.physics.hand_world import HandWorld
 from pipelines.engines.physics.phases import Phase
-from pipelines.labels.execution import ExecutionParams, ExecutionSetup, execute_candidate
-from pipelines.pictures.trace import TraceError, TraceRecorder, read_trace
+from pipelines.labels.execution import ExecutionParams, ExecutionSetup
+from pipelines.pictures.recording import Recording, record_execution, record_rejection
+from pipelines.pictures.trace import METADATA, trace
+from tables.poses import matrix_of
+from tables.vocabulary import PointType
 from tests.pipelines.engines.physics.lifted import MOTION, PHYSICS, lifted
 
 SETUP = ExecutionSetup(ExecutionParams(), MOTION, PHYSICS)
+POINTS: list[Row] = [
+    {"scene_id": "full-0000", "point": k, "point_type": kind.value, "x_m": 0.125 * k, "y_m": -0.25, "z_m": 0.5}
+    for k, kind in enumerate(PointType)
+]
+IDENTITY = {"recipe_hash": "r" * 64, "release_hash": "h" * 64}
 
 
-def _traced(path: Path) -> Row:
+@lru_cache(maxsize=1)
+def _recording() -> Recording:
     case = lifted("cuboid")
-    candidate, plan = case.planned[0]
-    with (
-        HandWorld(case.object_model, (), PHYSICS) as world,
-        TraceRecorder(path, world, {"candidate_id": candidate.candidate_id}) as trace,
+    candidate, motion = case.planned[0]
+    return record_execution(case.object_model, candidate, motion, SETUP, {"plan_status": "solved"})
+
+
+def _messages(data: bytes) -> dict[str, list[tuple[int, Any]]]:
+    found: dict[str, list[tuple[int, Any]]] = {}
+    for _, channel, message, content in make_reader(io.BytesIO(data), decoder_factories=[DecoderFactory()]).iter_decoded_messages(
+        topics=["/tf", "/joint_states", "/scene", "/points", "/log"]
     ):
-        return execute_candidate(world, candidate, plan, SETUP, trace.record)
+        found.setdefault(channel.topic, []).append((message.log_time, content))
+    return found
 
 
-def test_a_trace_holds_the_execution(tmp_path: Path) -> None:
-    row = _traced(tmp_path / "a.mcap")
-    trace = read_trace(tmp_path / "a.mcap")
-    grasp = lifted("cuboid").grasps[0]
-    assert trace.metadata["candidate_id"].startswith("full-0000-t")
-    assert trace.step[-1] == row["n_physics_steps"]
-    assert np.all(np.diff(trace.step) > 0)
-    np.testing.assert_allclose(trace.time_s, trace.step * PHYSICS.dt_s, atol=1e-8)
-    np.testing.assert_allclose(trace.T_base_object[-1], pose_in(row, "final"), atol=1e-12)
-    np.testing.assert_allclose(trace.q_rad[0], grasp.lifted_q_rad, atol=1e-3)
-    phases = list(dict.fromkeys(trace.phase))
-    assert phases == [Phase.HOLD, Phase.TRANSPORT, Phase.DESCEND, Phase.OPEN, Phase.RETREAT, Phase.SETTLE]
-    settling = np.array([phase is Phase.SETTLE for phase in trace.phase])
-    assert np.isnan(trace.q_rad[settling]).all()
-    assert np.isfinite(trace.q_rad[~settling]).all()
-    carried = np.array([phase is Phase.TRANSPORT for phase in trace.phase])
-    # Two pads with the grip force each; the table carries nothing of it on the way and all of the weight in the end.
-    assert np.median(trace.robot_object_n[carried]) == pytest.approx(2 * PHYSICS.finger_force_n, rel=0.05)
-    assert trace.object_fixed_n[carried].max() == 0.0
-    assert trace.object_fixed_n[-1] == pytest.approx(lifted("cuboid").object_model.mass_kg * 9.81, rel=0.05)
+def test_a_trace_holds_the_execution() -> None:
+    recording = _recording()
+    data = trace(recording, POINTS, IDENTITY)
+    messages = _messages(data)
+    times_ns = [round(moment.time_s * 1e9) for moment in recording.moments]
+    assert [t for t, _ in messages["/tf"]] == [t for t, _ in messages["/joint_states"]] == times_ns
+    last = {x.child_frame_id: x for x in messages["/tf"][-1][1].transforms}
+    assert {x.parent_frame_id for x in last.values()} == {"base"}
+    assert {*(f"panda_link{k}" for k in range(9)), "panda_hand", "panda_leftfinger", "panda_rightfinger", "tcp", "object", "target"} <= set(
+        last
+    )
+    p, q = last["object"].translation, last["object"].rotation
+    end = matrix_of(np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]))
+    np.testing.assert_allclose(end, pose_in(recording.labels, "final"), atol=1e-12)
+    states = messages["/joint_states"]
+    np.testing.assert_array_equal([joint.position for joint in states[0][1].joints][:7], recording.moments[0].q_rad)
+    phases = [Phase.HOLD, Phase.TRANSPORT, Phase.DESCEND, Phase.OPEN, Phase.RETREAT, Phase.SETTLE]
+    assert [log.message for _, log in messages["/log"]][:-1] == [phase.value for phase in phases]
+    assert messages["/log"][-1][1].message == f"{recording.candidate.candidate_id}: {recording.labels['exec_status']}"
 
 
-def test_equal_executions_give_equal_bytes_and_a_trace_changes_nothing(tmp_path: Path) -> None:
-    first, second = _traced(tmp_path / "a.mcap"), _traced(tmp_path / "b.mcap")
-    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+def test_frames_of_the_fingers_are_where_the_object_is_held() -> None:
+    """A twin of the kinematics: halfway between the finger frames, along the hand's z, lies the TCP that the arm's closed form gives."""
+    frames = {x.child_frame_id: x.translation for x in _messages(trace(_recording(), POINTS, IDENTITY))["/tf"][0][1].transforms}
+    at = {name: np.array([v.x, v.y, v.z]) for name, v in frames.items()}
+    np.testing.assert_allclose(np.linalg.norm(at["tcp"] - at["panda_hand"]), 0.1034, atol=1e-6)
+    middle = (at["panda_leftfinger"] + at["panda_rightfinger"]) / 2
+    along = (at["tcp"] - at["panda_hand"]) / 0.1034
+    np.testing.assert_allclose(middle, at["panda_hand"] + 0.0584 * along, atol=2e-3)
+
+
+def test_bodies_and_the_typed_cloud_are_in_it() -> None:
+    messages = _messages(trace(_recording(), POINTS, IDENTITY))
+    ((time_ns, scene),) = messages["/scene"]
+    assert time_ns == 0
+    entities = {entity.id: entity for entity in scene.entities}
+    assert {"table", "object", "target", "link0", "link7", "hand", "left_finger_pad"} <= set(entities)
+    assert entities["target"].triangles[0].color.a < 1.0
+    mesh = _recording().object_model.mesh
+    assert len(entities["object"].triangles[0].points) == len(mesh.vertices_m)
+    ((_, cloud),) = messages["/points"]
+    points = np.frombuffer(cloud.data, dtype=[("xyz", "<f4", 3), ("kind", "u1"), ("rgba", "u1", 4)])
+    assert cloud.point_stride == points.itemsize
+    np.testing.assert_array_equal(points["xyz"], [[0.125 * k, -0.25, 0.5] for k in range(3)])
+    assert points["kind"].tolist() == [0, 1, 2]
+
+
+def test_the_file_is_indexed_zstd_and_says_what_it_is_of() -> None:
+    data = trace(_recording(), POINTS, IDENTITY)
+    reader = make_reader(io.BytesIO(data))
+    summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_start_time == 0
+    assert {chunk.compression for chunk in summary.chunk_indexes} == {"zstd"}
+    assert summary.metadata_indexes
+    (record,) = reader.iter_metadata()
+    assert record.name == METADATA
+    assert record.metadata["candidate_id"] == _recording().candidate.candidate_id
+    assert {name: record.metadata[name] for name in IDENTITY} == IDENTITY
+    schemas = {schema.name for schema in summary.schemas.values()}
+    assert schemas >= {"foxglove.FrameTransforms", "foxglove.JointStates", "foxglove.SceneUpdate", "foxglove.PointCloud", "foxglove.Log"}
+
+
+def test_equal_executions_give_equal_bytes() -> None:
     case = lifted("cuboid")
-    with HandWorld(case.object_model, (), PHYSICS) as world:
-        untraced = execute_candidate(world, *case.planned[0], SETUP)
-    assert first == second == untraced
+    candidate, motion = case.planned[0]
+    again = record_execution(case.object_model, candidate, motion, SETUP, {"plan_status": "solved"})
+    assert trace(again, POINTS, IDENTITY) == trace(_recording(), POINTS, IDENTITY)
 
 
-def test_other_files_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "noise.mcap").write_bytes(b"not an mcap file at all, only some bytes")
-    with pytest.raises(TraceError, match=r"noise\.mcap"):
-        read_trace(tmp_path / "noise.mcap")
-    with (tmp_path / "empty.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        writer.finish()
-    with pytest.raises(TraceError, match="no metadata record"):
-        read_trace(tmp_path / "empty.mcap")
+def test_forces_are_those_of_the_hold() -> None:
+    recording, mass_kg = _recording(), lifted("cuboid").object_model.mass_kg
+    carried = [moment for moment in recording.moments if moment.phase is Phase.TRANSPORT]
+    # Two pads with the grip force each; the table carries nothing of it on the way and all of the weight in the end.
+    assert np.median([moment.robot_object_n for moment in carried]) == pytest.approx(2 * PHYSICS.finger_force_n, rel=0.05)
+    assert max(moment.object_fixed_n for moment in carried) == 0.0
+    assert recording.moments[-1].object_fixed_n == pytest.approx(mass_kg * 9.81, rel=0.05)
+
+
+def test_a_rejection_shows_the_hand_at_the_place_and_its_status() -> None:
+    case = lifted("cuboid")
+    candidate = case.planned[0][0]
+    recording = record_rejection(case.object_model, candidate, 0.003, {"candidate_id": candidate.candidate_id, "plan_status": "no_ik"})
+    messages = _messages(trace(recording, [], IDENTITY))
+    assert "/points" not in messages
+    assert [log.message for _, log in messages["/log"]] == [f"{candidate.candidate_id}: not planned, no_ik; nothing was executed"]
+    assert len(messages["/tf"]) == 1
+    assert "place_hand" in {entity.id for entity in messages["/scene"][0][1].entities}
+    (hand,) = [x.translation for x in messages["/tf"][0][1].transforms if x.child_frame_id == "place_hand"]
+    np.testing.assert_allclose([hand.x, hand.y, hand.z], candidate.place_pose(0.003)[:3, 3])
+
+
+def test_rerun_opens_it(tmp_path: Any) -> None:
+    """Rerun's own loader for MCAP, into a recording that is read back."""
+    rr = pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install -c constraints.txt '.[viewers]'")
+    from rerun.experimental import McapReader
+
+    path = tmp_path / "a.mcap"
+    path.write_bytes(trace(_recording(), POINTS, IDENTITY))
+    assert rr.__version__
+    assert McapReader(path)
