@@ -70,9 +70,9 @@ def sample_cloud(cloud: SceneCloud, settings: RankerSettings) -> tuple[Float32[n
         )
     obstacle = points_m[types == OBSTACLE]
     chosen = {
-        ENVIRONMENT: _farthest_points(environment, quarter if len(obstacle) else 2 * quarter),
-        OBJECT: _farthest_points(points_m[types == OBJECT], quarter),
-        OBSTACLE: _farthest_points(obstacle, quarter if len(obstacle) else 0),
+        ENVIRONMENT: farthest_points(environment, quarter if len(obstacle) else 2 * quarter),
+        OBJECT: farthest_points(points_m[types == OBJECT], quarter),
+        OBSTACLE: farthest_points(obstacle, quarter if len(obstacle) else 0),
     }
     chosen[TARGET] = chosen[OBJECT]
     parts = sorted(chosen)
@@ -116,7 +116,7 @@ def ball_query(
     return found
 
 
-def _farthest_points(points_m: Float32[np.ndarray, "n 3"], n_chosen: int) -> Float32[np.ndarray, "n_chosen 3"]:
+def farthest_points(points_m: Float32[np.ndarray, "n 3"], n_chosen: int) -> Float32[np.ndarray, "n_chosen 3"]:
     """`n_chosen` points in farthest-point order from the lexicographically first; too few points are repeated in the same order."""
     if n_chosen == 0:
         return np.empty((0, 3), dtype=np.float32)

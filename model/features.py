@@ -116,11 +116,14 @@ _OBJECT_AT_TARGET = (
 )
 
 RAW_POSE_FEATURES: tuple[Feature, ...] = tuple(feature for name in ("grasp", "target", "relative") for feature in _pose(name, _POSES[name]))
-FEATURES: tuple[Feature, ...] = (
+POSE_FEATURES: tuple[Feature, ...] = (
     *RAW_POSE_FEATURES,
     *_pose("composed", _POSES["composed"]),
     *(feature for phase in ("pick", "place") for feature in _arm(phase)),
     *(feature for phase in ("pick", "place", "above15", "back15") for feature in _reach(phase)),
+)
+FEATURES: tuple[Feature, ...] = (
+    *POSE_FEATURES,
     *_OBJECT_IN_HAND,
     *_OBJECT_AT_TARGET,
     *(feature for phase in ("pick", "place", "back15") for feature in _table(phase)),

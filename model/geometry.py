@@ -78,19 +78,15 @@ def _of_group(
     """Features of the candidates of one target."""
     n = len(T_base_grasp)
     T_base_place = place_pose(T_base_target, scene.T_base_object, T_base_grasp)
-    hand_of = {"pick": T_base_grasp, "place": T_base_place, "back15": T_base_place.copy()}
-    for phase, offset_m in _OFFSETS_M.items():
-        hand_of[phase] = T_base_place.copy()
-        hand_of[phase][:, 2, 3] += offset_m
-    hand_of["back15"][:, :3, 3] -= _BACK_M * T_base_place[:, :3, 2]
+    hand_of = hand_poses(T_base_grasp, T_base_place)
 
     poses = {"grasp": T_base_grasp, "relative": T_grasp_object, "composed": T_base_place}
-    columns = {name: values for prefix, T in poses.items() for name, values in _pose_columns(prefix, T).items()}
-    columns |= _pose_columns("target", np.broadcast_to(T_base_target, (n, 4, 4)))
+    columns = {name: values for prefix, T in poses.items() for name, values in pose_geometry(prefix, T).items()}
+    columns |= pose_geometry("target", np.broadcast_to(T_base_target, (n, 4, 4)))
     for phase in ("pick", "place"):
-        columns |= _arm_columns(phase, hand_of[phase], scene.table_m)
+        columns |= arm_geometry(phase, hand_of[phase], scene.table_m)
     for phase in ("pick", "place", "above15", "back15"):
-        columns |= _reach_columns(phase, hand_of[phase])
+        columns |= reach_geometry(phase, hand_of[phase])
 
     inhand_m = moved(inverse(T_base_grasp), np.broadcast_to(scene.object_m, (n, *scene.object_m.shape)))
     held = _held_columns(inhand_m)
@@ -99,7 +95,7 @@ def _of_group(
     columns |= held | {"hand_object_m": to_object[:, 0], "fingers_object_m": to_object[:, 1:].min(axis=1)}
     columns |= _object_columns(scene, T_base_target, n)
     for phase in ("pick", "place"):
-        columns |= _weight_columns(phase, hand_of[phase], inhand_m.mean(axis=1))
+        columns |= weight_geometry(phase, hand_of[phase], inhand_m.mean(axis=1))
     for phase in ("pick", "place", "back15"):
         low_m = lowest_corner_m(hand_of[phase], *boxes) - scene.table_m
         columns |= {f"{phase}_hand_low_m": low_m[:, 0], f"{phase}_fingers_low_m": low_m[:, 1:].min(axis=1)}
@@ -118,19 +114,29 @@ def place_pose(
     return T_base_place
 
 
-def _pose_columns(prefix: str, T: Float[np.ndarray, "c 4 4"]) -> Columns:
+def hand_poses(T_base_grasp: Float[np.ndarray, "c 4 4"], T_base_place: Float[np.ndarray, "c 4 4"]) -> dict[str, Float[np.ndarray, "c 4 4"]]:
+    """Where the TCP is in each of PHASES, base frame."""
+    hand_of = {"pick": T_base_grasp, "place": T_base_place, "back15": T_base_place.copy()}
+    for phase, offset_m in _OFFSETS_M.items():
+        hand_of[phase] = T_base_place.copy()
+        hand_of[phase][:, 2, 3] += offset_m
+    hand_of["back15"][:, :3, 3] -= _BACK_M * T_base_place[:, :3, 2]
+    return hand_of
+
+
+def pose_geometry(prefix: str, T: Float[np.ndarray, "c 4 4"]) -> Columns:
     columns = {f"{prefix}_{axis}_m": T[:, k, 3] for k, axis in enumerate("xyz")}
     return columns | {f"{prefix}_{of}{axis}": T[:, k, column] for column, of in ((1, "y"), (2, "z")) for k, axis in enumerate("xyz")}
 
 
-def _wrist_m(T: Float[np.ndarray, "c 4 4"]) -> Float[np.ndarray, "c 3"]:
+def wrist_point_m(T: Float[np.ndarray, "c 4 4"]) -> Float[np.ndarray, "c 3"]:
     wrist_m: Float[np.ndarray, "c 3"] = T[:, :3, 3] - WRIST_FROM_TCP_M * T[:, :3, 2]
     return wrist_m
 
 
-def _arm_columns(phase: str, T: Float[np.ndarray, "c 4 4"], table_m: float) -> Columns:
+def arm_geometry(phase: str, T: Float[np.ndarray, "c 4 4"], table_m: float) -> Columns:
     """Wrist, approach and jaw in the vertical plane of the base axis and the TCP."""
-    wrist_m = _wrist_m(T)
+    wrist_m = wrist_point_m(T)
     azimuth_rad = np.arctan2(T[:, 1, 3], T[:, 0, 3])
     cos, sin = np.cos(azimuth_rad), np.sin(azimuth_rad)
     columns = {
@@ -146,9 +152,9 @@ def _arm_columns(phase: str, T: Float[np.ndarray, "c 4 4"], table_m: float) -> C
     return columns
 
 
-def _reach_columns(phase: str, T: Float[np.ndarray, "c 4 4"]) -> Columns:
+def reach_geometry(phase: str, T: Float[np.ndarray, "c 4 4"]) -> Columns:
     """Joint 7 turns the axis of joint 6 on a circle about the approach: its nearest and furthest distance from the shoulder."""
-    to_shoulder_m = np.array(SHOULDER_M) - _wrist_m(T)
+    to_shoulder_m = np.array(SHOULDER_M) - wrist_point_m(T)
     along_m = np.sum(to_shoulder_m * T[:, :3, 2], axis=1)
     across_m = np.linalg.norm(to_shoulder_m - along_m[:, None] * T[:, :3, 2], axis=1)
     return {
@@ -186,7 +192,7 @@ def _object_columns(scene: _ScenePoints, T_base_target: Float[np.ndarray, "4 4"]
     return {name: np.full(n, value) for name, value in values.items()}
 
 
-def _weight_columns(phase: str, T: Float[np.ndarray, "c 4 4"], mean_inhand_m: Float[np.ndarray, "c 3"]) -> Columns:
+def weight_geometry(phase: str, T: Float[np.ndarray, "c 4 4"], mean_inhand_m: Float[np.ndarray, "c 3"]) -> Columns:
     """Lever of a weight at the mean of the object's points; only its part about the jaw axis turns the object between the pads."""
     from_tcp_m = moved(T, mean_inhand_m[:, None])[:, 0] - T[:, :3, 3]
     torque = np.cross(from_tcp_m, np.array([0.0, 0.0, -1.0]))
@@ -204,7 +210,7 @@ def _obstacle_columns(
     if not len(scene.obstacle_m):
         return {name: np.full(len(T), FURTHEST_M) for name in names}
     to_boxes = box_distance_m(moved(inverse(T), np.broadcast_to(scene.obstacle_m, (len(T), *scene.obstacle_m.shape))), *boxes)
-    wrist_m = _wrist_m(T)
+    wrist_m = wrist_point_m(T)
     to_wrist = segment_distance_m(scene.obstacle_m, wrist_m, wrist_m)
     to_arm = segment_distance_m(scene.obstacle_m, np.broadcast_to(SHOULDER_M, wrist_m.shape), wrist_m)
     nearest = (to_boxes[:, 0], to_boxes[:, 1:].min(axis=1), to_wrist, to_arm)

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch.nn import functional
 
 from model.ranker import Prediction
-from model.settings import RankerSettings
+from model.settings import TrainingSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class Losses:
     total: torch.Tensor
 
 
-def losses(prediction: Prediction, supervision: Supervision, settings: RankerSettings) -> Losses:
+def losses(prediction: Prediction, supervision: Supervision, settings: TrainingSettings) -> Losses:
     """2 L_plan + L_exec + 0.1 L_rank at the default weights.
 
     The direct variant has one head: binary cross-entropy of the final success over all candidates takes the place of L_plan, the term that

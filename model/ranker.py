@@ -77,7 +77,7 @@ class Ranker(nn.Module):
         self.plan_head = None if variant is Variant.DIRECT else nn.Linear(FUSION_WIDTHS[-1], 1)
         self.exec_head = nn.Linear(FUSION_WIDTHS[-1], 1)
         if seed is not None:
-            _initialise(self, seed)
+            initialise(self, seed)
 
     def forward(self, x: ModelInput) -> Prediction:
         """Logits of every candidate; each cloud and each target is encoded once and shared by its candidates."""
@@ -122,7 +122,7 @@ def pose9(T: Float[np.ndarray, "*n 4 4"]) -> Float32[np.ndarray, "*n 9"]:
     return np.concatenate([T[..., :3, 3], columns], axis=-1).astype(np.float32)
 
 
-def _initialise(module: nn.Module, seed: int) -> None:
+def initialise(module: nn.Module, seed: int) -> None:
     """Uniform in +-1/sqrt(fan-in) (He et al. 2015 with torch's default slope), drawn per parameter name: no order or device matters."""
     for name, layer in module.named_modules():
         if isinstance(layer, nn.Linear):
