@@ -90,6 +90,15 @@ _OBJECT_IN_HAND = (
     Feature("hand_object_m", "m", "signed distance of the hand's body to the object's points"),
     Feature("fingers_object_m", "m", "signed distance of the open fingers to the object's points"),
 )
+# In the frame of the object itself an object looks the same in every scene, and a grasp of its pool is at the same place.
+_OBJECT_ITSELF = (
+    *(
+        Feature(f"object_{axis}_{bound}_m", "m", f"{meaning} of the object's points along {axis} of the object frame")
+        for axis in "xyz"
+        for bound, meaning in (("low", "lowest"), ("high", "highest"))
+    ),
+    *(Feature(f"object_grasp_{axis}_m", "m", f"TCP at the grasp, object frame: {axis}") for axis in "xyz"),
+)
 _OBJECT_AT_TARGET = (
     *(
         Feature(f"{when}_{name}", "m", f"{meaning} of the object's points {where}")
@@ -125,6 +134,7 @@ POSE_FEATURES: tuple[Feature, ...] = (
 FEATURES: tuple[Feature, ...] = (
     *POSE_FEATURES,
     *_OBJECT_IN_HAND,
+    *_OBJECT_ITSELF,
     *_OBJECT_AT_TARGET,
     *(feature for phase in ("pick", "place", "back15") for feature in _table(phase)),
     *(feature for phase in PHASES for feature in _obstacles(phase)),

@@ -93,7 +93,7 @@ def _of_group(
     boxes = hand_boxes(open_jaw_m(held["held_width_m"]))
     to_object = box_distance_m(inhand_m, *boxes)
     columns |= held | {"hand_object_m": to_object[:, 0], "fingers_object_m": to_object[:, 1:].min(axis=1)}
-    columns |= _object_columns(scene, T_base_target, n)
+    columns |= _object_columns(scene, T_base_target, n) | grasp_in_object(T_grasp_object)
     for phase in ("pick", "place"):
         columns |= weight_geometry(phase, hand_of[phase], inhand_m.mean(axis=1))
     for phase in ("pick", "place", "back15"):
@@ -177,7 +177,7 @@ def _held_columns(inhand_m: Float[np.ndarray, "c n 3"]) -> Columns:
 def _object_columns(scene: _ScenePoints, T_base_target: Float[np.ndarray, "4 4"], n: int) -> Columns:
     T_to_target = T_base_target @ inverse(scene.T_base_object)
     moved_m = moved(T_to_target, scene.object_m)
-    values: dict[str, float] = {}
+    values = _extents(moved(inverse(scene.T_base_object), scene.object_m))
     for when, points_m in (("initial", scene.object_m), ("moved", moved_m)):
         mean_m = points_m.mean(axis=0)
         values[f"{when}_height_m"] = points_m[:, 2].max() - scene.table_m
@@ -190,6 +190,16 @@ def _object_columns(scene: _ScenePoints, T_base_target: Float[np.ndarray, "4 4"]
     if len(scene.obstacle_m):
         values["target_obstacle_m"] = min(FURTHEST_M, cloud_distance_m(moved_m, scene.obstacle_m))
     return {name: np.full(n, value) for name, value in values.items()}
+
+
+def _extents(points_m: Float[np.ndarray, "n 3"]) -> dict[str, float]:
+    low_m, high_m = points_m.min(axis=0), points_m.max(axis=0)
+    return {f"object_{axis}_{of}_m": float(m[k]) for k, axis in enumerate("xyz") for of, m in (("low", low_m), ("high", high_m))}
+
+
+def grasp_in_object(T_grasp_object: Float[np.ndarray, "c 4 4"]) -> Columns:
+    T_object_grasp = inverse(T_grasp_object)
+    return {f"object_grasp_{axis}_m": T_object_grasp[:, k, 3] for k, axis in enumerate("xyz")}
 
 
 def weight_geometry(phase: str, T: Float[np.ndarray, "c 4 4"], mean_inhand_m: Float[np.ndarray, "c 3"]) -> Columns:

@@ -17,6 +17,7 @@ from model.features import FEATURES, FURTHEST_M, PHASES, POSE_FEATURES
 from model.geometry import (
     Columns,
     arm_geometry,
+    grasp_in_object,
     hand_poses,
     place_pose,
     pose_geometry,
@@ -67,7 +68,8 @@ def hand_view(
     of_target = _object_columns(points, cloud.T_base_object, T_base_target[first_target])
 
     columns = {name: values[grasp] for name, values in held.items()} | {name: values[target] for name, values in of_target.items()}
-    columns |= pose_features(T_base_grasp, inverse(T_base_grasp) @ cloud.T_base_object, T_base_target, hands, points.table_m)
+    T_grasp_object = inverse(T_base_grasp) @ cloud.T_base_object
+    columns |= pose_features(T_base_grasp, T_grasp_object, T_base_target, hands, points.table_m) | grasp_in_object(T_grasp_object)
     mean_inhand_m = np.column_stack([columns[f"inhand_{axis}_mean_m"] for axis in "xyz"])
     for phase in ("pick", "place"):
         columns |= weight_geometry(phase, hands[phase], mean_inhand_m)
@@ -197,10 +199,12 @@ _BOUNDS = (("low", "min"), ("high", "max"), ("mean", "mean"))
 
 def _object_columns(points: _ThinnedPoints, T_base_object: Float[np.ndarray, "4 4"], T_base_target: Float[np.ndarray, "g 4 4"]) -> Columns:
     """Features of the object at each target."""
+    columns: Columns = {}
+    for axis, values in zip("xyz", _into(T_base_object[None], points.object_m), strict=True):
+        columns |= {f"object_{axis}_{name}_m": np.repeat(getattr(values, of)(), len(T_base_target)) for name, of in _BOUNDS[:2]}
     T_to_target = T_base_target @ inverse(T_base_object)
     # A frame in which the object stands still while the world moves: its points at the target are those that `inverse` brings there.
     moved = _into(inverse(T_to_target), points.object_m)
-    columns: Columns = {}
     for when, (x, y, z) in (("initial", [points.object_m[None, :, k] for k in range(3)]), ("moved", moved)):
         across2 = np.square(x - x.mean(axis=1, keepdims=True)) + np.square(y - y.mean(axis=1, keepdims=True))
         values = (z.max(axis=1) - points.table_m, z.mean(axis=1) - points.table_m, np.sqrt(across2.max(axis=1)))

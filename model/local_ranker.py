@@ -5,22 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import nn
 from torch.nn import functional
 
-from model.features import FEATURES, POSE_FEATURES, Feature
+from model.features import FEATURES, POSE_FEATURES
 from model.hand_view import NEAR_PHASES
 from model.inputs import ENVIRONMENT, OBSTACLE
-from model.local_release import LocalInput
+from model.local_release import LocalInput, LocalRelease
 from model.local_settings import LocalSettings
 from model.pointnet2 import PointwiseLayers
 from model.ranker import Prediction, initialise
 from model.settings import Variant
+from tables.identity import rng_for
 
-# Metres: of a workspace, of a hand, of a clearance, of a slip. A network that only sees the first cannot tell 5 mm apart.
-SCALES_M = (0.5, 0.1, 0.02)
+SCALES_M = (0.1, 0.02)  # of a hand, and of a clearance
+NARROWEST = 1e-4
 _N_OBJECT_VALUES = 3 + 2 + 3
 _NUMBER = {feature.name: k for k, feature in enumerate(FEATURES)}
 
@@ -36,31 +38,45 @@ class LocalRanker(nn.Module):
         self.settings = settings
         self.variant = variant
         self.has_points = variant is Variant.LOCAL
-        self.encoding = FeatureEncoding(FEATURES if self.has_points else POSE_FEATURES)
+        self.encoding = FeatureEncoding(len(FEATURES if self.has_points else POSE_FEATURES), settings.n_bins)
         n_features = self.encoding.n_values
         if self.has_points:
             self.object = PointNet(_N_OBJECT_VALUES, settings.point_widths)
             self.near = PointNet(3 + 2 * len(NEAR_PHASES) + 3 + 2, settings.point_widths)
             n_features += 3 * settings.point_widths[-1]
-        self.body = PointwiseLayers((n_features, *settings.widths))
-        self.attention = GroupAttention(settings.widths[-1], settings.n_attention_heads) if settings.n_attention_heads else None
-        self.plan_head = Head(settings.widths[-1], settings.head_width)
-        self.exec_head = Head(settings.widths[-1], settings.head_width)
+        self.first = PointwiseLayers((n_features, settings.widths[0]))
+        self.members = Members(settings.widths, settings.head_width, settings.n_members)
+        self.attention = GroupAttention(settings.widths[0], settings.n_attention_heads) if settings.n_attention_heads else None
         if seed is not None:
             initialise(self, seed)
+            self.members.initialise_scales(seed)
+
+    @property
+    def n_members(self) -> int:
+        return self.settings.n_members
+
+    def fit(self, release: LocalRelease) -> None:
+        """What is taken from the training candidates before the first step; it is stored with the weights."""
+        self.encoding.fit(release.features)
 
     def forward(self, x: LocalInput) -> Prediction:
-        """Logits of every candidate of whole fixed-target groups."""
+        """Logits of every candidate of whole fixed-target groups: the mean of the members'."""
+        return Prediction(*(logits.mean(0).float() for logits in self._logits(x)))
+
+    def of_members(self, x: LocalInput) -> Prediction:
+        """Logits of the first member, of the second and so on, end to end: each is trained by its own errors."""
+        return Prediction(*(logits.flatten().float() for logits in self._logits(x)))
+
+    def _logits(self, x: LocalInput) -> tuple[Float[torch.Tensor, "m c"], Float[torch.Tensor, "m c"]]:
         seen = [self.encoding(x.features)]
         if self.has_points:
             up = {phase: _up_in_hand(x.features, name) for phase, name in (("pick", "grasp"), ("place", "composed"))}
             seen += self._object(x, up) + [self.near(_near_values(x, up["place"])).amax(-2)]
-        fused = torch.cat(seen, -1)
-        for linear, norm in zip(self.body.linear, self.body.norm, strict=True):
-            fused = functional.dropout(functional.relu(norm(linear(fused))), self.settings.dropout, self.training)
+        fused = functional.dropout(self.first(torch.cat(seen, -1)), self.settings.dropout, self.training)
         if self.attention is not None:
             fused = self.attention(fused, x.group)
-        return Prediction(self.plan_head(fused).float(), self.exec_head(fused).float())
+        plan, execution = self.members(fused, self.settings.dropout)
+        return plan, execution
 
     def _object(self, x: LocalInput, up: dict[str, Float[torch.Tensor, "c 3"]]) -> list[Float[torch.Tensor, "c w"]]:
         """Points of the object in the hand, each with its height at pick and place, as their largest and their mean feature."""
@@ -75,17 +91,27 @@ class LocalRanker(nn.Module):
 
 
 class FeatureEncoding(nn.Module):
-    """Features as numbers of size 1: lengths on several scales, angles and directions as they are. Constants, so that nothing is fitted."""
+    """Piecewise-linear encoding (Gorishniy et al. 2022): how much of each bin of a feature lies below its value.
 
-    def __init__(self, features: Sequence[Feature]) -> None:
+    Bins hold equally many training candidates. A network that is given metres alone does not tell a clearance of 5 mm from one of 10.
+    """
+
+    edges: torch.Tensor
+
+    def __init__(self, n_features: int, n_bins: int) -> None:
         super().__init__()
-        self.lengths = [k for k, feature in enumerate(features) if feature.unit == "m"]
-        self.others = [k for k, feature in enumerate(features) if feature.unit != "m"]
-        self.n_values = len(self.others) + len(SCALES_M) * len(self.lengths)
+        self.n_values = n_features * n_bins
+        self.register_buffer("edges", torch.linspace(-1.0, 1.0, n_bins + 1).repeat(n_features, 1))
+
+    def fit(self, features: Float[torch.Tensor, "c f"]) -> None:
+        """Put the edges where the training candidates are."""
+        shares = np.linspace(0.0, 1.0, self.edges.shape[1])
+        self.edges.copy_(torch.from_numpy(np.quantile(features.numpy().astype(np.float64), shares, axis=0).T))
 
     def forward(self, features: Float[torch.Tensor, "c f"]) -> Float[torch.Tensor, "c v"]:
-        lengths_m = features[:, self.lengths]
-        return torch.cat([features[:, self.others], lengths_m / SCALES_M[0], *(torch.tanh(lengths_m / scale_m) for scale_m in SCALES_M[1:])], -1)
+        low, high = self.edges[:, :-1], self.edges[:, 1:]
+        # Where many candidates have one value a bin has no width and becomes a step.
+        return ((features[..., None] - low) / (high - low).clamp_min(NARROWEST)).clamp(0.0, 1.0).flatten(-2)
 
 
 class PointNet(nn.Module):
@@ -101,16 +127,38 @@ class PointNet(nn.Module):
         return x
 
 
-class Head(nn.Module):
-    """One logit a candidate."""
+class Members(nn.Module):
+    """A few networks that share their matrices and differ in scales and heads (BatchEnsemble, Wen et al. 2020; TabM, Gorishniy et al. 2024).
 
-    def __init__(self, n_features: int, width: int) -> None:
+    Candidates of few scenes are learned by heart in many ways; the mean of members that were trained each by itself forgets most of them.
+    """
+
+    def __init__(self, widths: Sequence[int], head_width: int, n_members: int) -> None:
         super().__init__()
-        self.hidden, self.out = nn.Linear(n_features, width), nn.Linear(width, 1)
+        self.scale_in = nn.Parameter(torch.ones(n_members, 1, widths[0]))
+        self.body = PointwiseLayers(tuple(widths)) if len(widths) > 1 else None
+        self.scale_out = nn.Parameter(torch.ones(n_members, 1, widths[-1]))
+        self.hidden = nn.Linear(widths[-1], 2 * head_width)
+        self.heads = nn.Linear(head_width, 2 * n_members)
+        self.n_members, self.head_width = n_members, head_width
 
-    def forward(self, x: Float[torch.Tensor, "c f"]) -> Float[torch.Tensor, "c"]:
-        logit: torch.Tensor = self.out(functional.relu(self.hidden(x))).squeeze(-1)
-        return logit
+    def initialise_scales(self, seed: int) -> None:
+        """A random sign each, for diversity; the only member of one keeps ones."""
+        if self.n_members > 1:
+            for name in ("scale_in", "scale_out"):
+                scale = getattr(self, name)
+                signs = rng_for(seed, "ranker-init", name).integers(0, 2, tuple(scale.shape)) * 2.0 - 1.0
+                scale.data.copy_(torch.from_numpy(signs))
+
+    def forward(self, x: Float[torch.Tensor, "c w"], dropout: float) -> Float[torch.Tensor, "2 m c"]:
+        """Logits of planning and of execution."""
+        each = x * self.scale_in
+        if self.body is not None:
+            each = functional.dropout(self.body(each), dropout, self.training)
+        hidden = functional.relu(self.hidden(each * self.scale_out)).unflatten(-1, (2, self.head_width))
+        weight = self.heads.weight.view(2, self.n_members, self.head_width)
+        bias = self.heads.bias.view(2, self.n_members)
+        return torch.einsum("mchw,hmw->hmc", hidden, weight) + bias[..., None]
 
 
 class GroupAttention(nn.Module):
@@ -148,5 +196,5 @@ def _near_values(x: LocalInput, up: Float[torch.Tensor, "c 3"]) -> Float[torch.T
     n = x.near_m.shape[1]
     gaps_m = x.near_m[..., 3:]
     kinds = torch.stack([x.near_types == OBSTACLE, x.near_types == ENVIRONMENT], -1).to(gaps_m.dtype)
-    values = [x.near_m[..., :3] / SCALES_M[1], torch.tanh(gaps_m / SCALES_M[1]), torch.tanh(gaps_m / SCALES_M[2]), up[:, None].expand(-1, n, -1), kinds]
+    values = [x.near_m[..., :3] / SCALES_M[0], torch.tanh(gaps_m / SCALES_M[0]), torch.tanh(gaps_m / SCALES_M[1]), up[:, None].expand(-1, n, -1), kinds]
     return torch.cat(values, -1) * (x.near_types >= 0)[..., None]

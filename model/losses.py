@@ -30,6 +30,14 @@ class Supervision:
     def success(self) -> Bool[torch.Tensor, "c"]:
         return self.y_plan & self.y_pipe
 
+    def repeated(self, n: int) -> Supervision:
+        """The same of n copies of the batch, end to end, whose groups stay apart."""
+        groups = []
+        for rows in self.ranking_groups:
+            shift = torch.arange(n, device=rows.device)[:, None, None] * len(self.y_plan)
+            groups.append(torch.where(rows >= 0, rows + shift, rows).flatten(0, 1))
+        return Supervision(self.y_plan.repeat(n), self.y_pipe.repeat(n), tuple(groups))
+
 
 @dataclass(frozen=True, slots=True)
 class Losses:

@@ -43,7 +43,9 @@ class Run:
     def __init__(self, identity: TrainingIdentity, training: Examples, validation: Examples, device: torch.device) -> None:
         self.identity, self.training, self.validation, self.device = identity, training, validation, device
         settings = identity.settings
-        self.ranker = build_network(settings, identity.variant, identity.seed).to(device)
+        network = build_network(settings, identity.variant, identity.seed)
+        network.fit(training.release)
+        self.ranker = network.to(device)
         self.optimiser = torch.optim.AdamW(self.ranker.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
         self.steps_per_epoch = math.ceil(training.release.n_scenes / settings.scenes_per_batch)
         self.history: list[HistoryRow] = []
@@ -93,8 +95,8 @@ class Run:
         x = self.training.release.network_input(groups, self.device)
         labels = supervision(self.training.release, self.training.labels, groups, self.device)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=settings.use_bfloat16 and self.device.type == "cuda"):
-            prediction = self.ranker(x)
-        found = losses(prediction, labels, settings)
+            prediction = self.ranker.of_members(x)
+        found = losses(prediction, labels.repeated(self.ranker.n_members), settings)
         if not bool(torch.isfinite(found.total)):
             raise _diverged(f"step {step}: loss", found.total.item(), settings)
         self.optimiser.zero_grad(set_to_none=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -78,6 +79,18 @@ class Ranker(nn.Module):
         self.exec_head = nn.Linear(FUSION_WIDTHS[-1], 1)
         if seed is not None:
             initialise(self, seed)
+
+    def fit(self, release: Any) -> None:
+        """Takes nothing from the training candidates: its normalisation is constant."""
+
+    def of_members(self, x: ModelInput) -> Prediction:
+        """It has one member: itself."""
+        prediction: Prediction = self(x)
+        return prediction
+
+    @property
+    def n_members(self) -> int:
+        return 1
 
     def forward(self, x: ModelInput) -> Prediction:
         """Logits of every candidate; each cloud and each target is encoded once and shared by its candidates."""

@@ -40,6 +40,8 @@ TINY_LOCAL = replace(
     point_widths=(8, 12),
     widths=(24, 16),
     head_width=8,
+    n_bins=4,
+    n_members=3,
     n_epochs=4,
 )
 
