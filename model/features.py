@@ -130,6 +130,7 @@ POSE_FEATURES: tuple[Feature, ...] = (
     *_pose("composed", _POSES["composed"]),
     *(feature for phase in ("pick", "place") for feature in _arm(phase)),
     *(feature for phase in ("pick", "place", "above15", "back15") for feature in _reach(phase)),
+    Feature("swing_rad", "rad", "turn of the TCP about the base axis from the grasp to the place"),
 )
 FEATURES: tuple[Feature, ...] = (
     *POSE_FEATURES,
@@ -138,6 +139,12 @@ FEATURES: tuple[Feature, ...] = (
     *_OBJECT_AT_TARGET,
     *(feature for phase in ("pick", "place", "back15") for feature in _table(phase)),
     *(feature for phase in PHASES for feature in _obstacles(phase)),
+)
+
+# What changes when a scene is turned as a whole about the base axis, which makes no difference to the arm but for the ends of joint 1.
+TURNING = frozenset(
+    {f"{name}_{part}" for name in ("grasp", "target", "composed") for part in ("x_m", "y_m", "yx", "yy", "zx", "zy")}
+    | {f"{phase}_azimuth_rad" for phase in ("pick", "place")}
 )
 
 CANDIDATE_GEOMETRY = TableSchema(

@@ -87,6 +87,7 @@ def _of_group(
         columns |= arm_geometry(phase, hand_of[phase], scene.table_m)
     for phase in ("pick", "place", "above15", "back15"):
         columns |= reach_geometry(phase, hand_of[phase])
+    columns |= swing_geometry(hand_of)
 
     inhand_m = moved(inverse(T_base_grasp), np.broadcast_to(scene.object_m, (n, *scene.object_m.shape)))
     held = _held_columns(inhand_m)
@@ -200,6 +201,11 @@ def _extents(points_m: Float[np.ndarray, "n 3"]) -> dict[str, float]:
 def grasp_in_object(T_grasp_object: Float[np.ndarray, "c 4 4"]) -> Columns:
     T_object_grasp = inverse(T_grasp_object)
     return {f"object_grasp_{axis}_m": T_object_grasp[:, k, 3] for k, axis in enumerate("xyz")}
+
+
+def swing_geometry(hand_of: dict[str, Float[np.ndarray, "c 4 4"]]) -> Columns:
+    (x, y), (to_x, to_y) = (hand_of[phase][:, :2, 3].T for phase in ("pick", "place"))
+    return {"swing_rad": np.arctan2(x * to_y - y * to_x, x * to_x + y * to_y)}
 
 
 def weight_geometry(phase: str, T: Float[np.ndarray, "c 4 4"], mean_inhand_m: Float[np.ndarray, "c 3"]) -> Columns:

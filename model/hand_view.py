@@ -22,6 +22,7 @@ from model.geometry import (
     place_pose,
     pose_geometry,
     reach_geometry,
+    swing_geometry,
     weight_geometry,
     wrist_point_m,
 )
@@ -117,7 +118,7 @@ def pose_features(
         columns |= arm_geometry(phase, hands[phase], table_m)
     for phase in ("pick", "place", "above15", "back15"):
         columns |= reach_geometry(phase, hands[phase])
-    return columns
+    return columns | swing_geometry(hands)
 
 
 def low_columns(hands: dict[str, Float[np.ndarray, "c 4 4"]], jaw_m: Float[np.ndarray, "c"], table_m: float) -> Columns:

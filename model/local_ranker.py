@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from torch import nn
 from torch.nn import functional
 
-from model.features import FEATURES, POSE_FEATURES
+from model.features import FEATURES, POSE_FEATURES, TURNING
 from model.hand_view import NEAR_PHASES
 from model.inputs import ENVIRONMENT, OBSTACLE
 from model.local_release import LocalInput, LocalRelease
@@ -38,7 +38,9 @@ class LocalRanker(nn.Module):
         self.settings = settings
         self.variant = variant
         self.has_points = variant is Variant.LOCAL
-        self.encoding = FeatureEncoding(len(FEATURES if self.has_points else POSE_FEATURES), settings.n_bins)
+        features = FEATURES if self.has_points else POSE_FEATURES
+        self.read = [k for k, feature in enumerate(features) if feature.name not in TURNING]
+        self.encoding = FeatureEncoding(len(self.read), settings.n_bins)
         n_features = self.encoding.n_values
         if self.has_points:
             self.object = PointNet(_N_OBJECT_VALUES, settings.point_widths)
@@ -57,7 +59,7 @@ class LocalRanker(nn.Module):
 
     def fit(self, release: LocalRelease) -> None:
         """What is taken from the training candidates before the first step; it is stored with the weights."""
-        self.encoding.fit(release.features)
+        self.encoding.fit(release.features[:, self.read])
 
     def forward(self, x: LocalInput) -> Prediction:
         """Logits of every candidate of whole fixed-target groups: the mean of the members'."""
@@ -68,7 +70,7 @@ class LocalRanker(nn.Module):
         return Prediction(*(logits.flatten().float() for logits in self._logits(x)))
 
     def _logits(self, x: LocalInput) -> tuple[Float[torch.Tensor, "m c"], Float[torch.Tensor, "m c"]]:
-        seen = [self.encoding(x.features)]
+        seen = [self.encoding(x.features[:, self.read])]
         if self.has_points:
             up = {phase: _up_in_hand(x.features, name) for phase, name in (("pick", "grasp"), ("place", "composed"))}
             seen += self._object(x, up) + [self.near(_near_values(x, up["place"])).amax(-2)]
