@@ -85,7 +85,7 @@ class PlacementDataset(Dataset[Item]):
         return item
 
     def groups(self, task: str) -> list[list[int]]:
-        """Candidates of each group of a task, `joint` (a scene) or `fixed` (a scene and a target): what DataLoader takes as batch_sampler."""
+        """Candidates of each group of `joint` (a scene) or `fixed` (a scene and a target), as DataLoader takes for `batch_sampler`."""
         if task not in ("joint", "fixed"):
             raise InputError(f"task {task!r}, must be joint or fixed")
         number = (self.scene if task == "joint" else self.group).numpy()

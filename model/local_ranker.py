@@ -73,7 +73,7 @@ class LocalRanker(nn.Module):
         seen = [self.encoding(x.features[:, self.read])]
         if self.has_points:
             up = {phase: _up_in_hand(x.features, name) for phase, name in (("pick", "grasp"), ("place", "composed"))}
-            seen += self._object(x, up) + [self.near(_near_values(x, up["place"])).amax(-2)]
+            seen += [*self._object(x, up), self.near(_near_values(x, up["place"])).amax(-2)]
         fused = functional.dropout(self.first(torch.cat(seen, -1)), self.settings.dropout, self.training)
         if self.attention is not None:
             fused = self.attention(fused, x.group)
@@ -130,7 +130,7 @@ class PointNet(nn.Module):
 
 
 class Members(nn.Module):
-    """A few networks that share their matrices and differ in scales and heads (BatchEnsemble, Wen et al. 2020; TabM, Gorishniy et al. 2024).
+    """A few networks that share their matrices and differ in scales and heads (BatchEnsemble, Wen 2020; TabM, Gorishniy 2024).
 
     Candidates of few scenes are learned by heart in many ways; the mean of members that were trained each by itself forgets most of them.
     """
@@ -198,5 +198,11 @@ def _near_values(x: LocalInput, up: Float[torch.Tensor, "c 3"]) -> Float[torch.T
     n = x.near_m.shape[1]
     gaps_m = x.near_m[..., 3:]
     kinds = torch.stack([x.near_types == OBSTACLE, x.near_types == ENVIRONMENT], -1).to(gaps_m.dtype)
-    values = [x.near_m[..., :3] / SCALES_M[0], torch.tanh(gaps_m / SCALES_M[0]), torch.tanh(gaps_m / SCALES_M[1]), up[:, None].expand(-1, n, -1), kinds]
+    values = [
+        x.near_m[..., :3] / SCALES_M[0],
+        torch.tanh(gaps_m / SCALES_M[0]),
+        torch.tanh(gaps_m / SCALES_M[1]),
+        up[:, None].expand(-1, n, -1),
+        kinds,
+    ]
     return torch.cat(values, -1) * (x.near_types >= 0)[..., None]

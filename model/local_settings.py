@@ -32,7 +32,12 @@ class LocalSettings(TrainingSettings):
         TrainingSettings.__post_init__(self)
         counts = ("n_object_points", "n_obstacle_points", "n_environment_points", "n_near_obstacle", "n_near_environment")
         check_positive(self, (*counts, "n_bins", "head_width", "n_members"))
-        for field, most in (*((count, MOST_POINTS) for count in counts), ("n_bins", MOST_BINS), ("n_members", MOST_BINS), ("head_width", WIDEST)):
+        for field, most in (
+            *((count, MOST_POINTS) for count in counts),
+            ("n_bins", MOST_BINS),
+            ("n_members", MOST_BINS),
+            ("head_width", WIDEST),
+        ):
             if getattr(self, field) > most:
                 raise SettingsError(f"{field}: {getattr(self, field)}, must be at most {most}")
         for field in ("point_widths", "widths"):

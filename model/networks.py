@@ -17,14 +17,13 @@ from model.settings import RankerSettings, TrainingSettings, Variant
 
 Network = Ranker | LocalRanker
 
-_NAMED: Mapping[bool, Mapping[str, TrainingSettings]] = {
-    is_local: {named.name: named for named in (module.FULL, module.LIGHT)} for is_local, module in ((False, settings), (True, local_settings))
-}
+_OF_THE_PAPER: Mapping[str, RankerSettings] = {named.name: named for named in (settings.FULL, settings.LIGHT)}
+_LOCAL: Mapping[str, LocalSettings] = {named.name: named for named in (local_settings.FULL, local_settings.LIGHT)}
 
 
 def settings_named(name: str, variant: Variant = Variant.FULL) -> TrainingSettings:
     """`full` or `light` of the variant's network; raises SettingsError on another name."""
-    named = _NAMED[variant.is_local]
+    named: Mapping[str, TrainingSettings] = _LOCAL if variant.is_local else _OF_THE_PAPER
     if name not in named:
         raise SettingsError(f"setting {name!r}, must be one of {sorted(named)}")
     return named[name]

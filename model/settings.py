@@ -157,6 +157,7 @@ LIGHT = RankerSettings(
     n_cpu_threads=1,
 )
 
+
 def variant_named(name: str) -> Variant:
     """The variant of that name; raises SettingsError on another name."""
     try:

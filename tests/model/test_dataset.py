@@ -36,7 +36,8 @@ def test_an_item_holds_what_the_tables_hold(small_release: Path) -> None:
     tables = {name: pl.read_parquet(small_release / f"{name}.parquet") for name in ("scenes", "targets", "grasps", "scene_points")}
     for k in (0, 40, len(dataset) - 1):
         row, item = candidates.row(k, named=True), dataset[k]
-        named = {"object": ("scenes", ("scene_id",)), "target": ("targets", ("scene_id", "target_id")), "grasp": ("grasps", ("scene_id", "grasp_id"))}
+        by_grasp, by_target = ("scene_id", "grasp_id"), ("scene_id", "target_id")
+        named = {"object": ("scenes", ("scene_id",)), "target": ("targets", by_target), "grasp": ("grasps", by_grasp)}
         T = {}
         for prefix, (table, key) in named.items():
             (found,) = tables[table].filter(*(pl.col(name) == row[name] for name in key)).select(pose_columns(prefix)).rows()

@@ -104,10 +104,9 @@ def test_turning_the_scene_about_the_base_axis_changes_what_is_listed_and_nothin
     turn = np.eye(4)
     turn[:2, :2] = [[0.8, -0.6], [0.6, 0.8]]
     T_base_target = own.T_base_target[own.candidate_group]
-    moved = SceneCloud(
-        cloud.scene_id, (cloud.points_m @ turn[:3, :3].T).astype(np.float32), cloud.point_types, turn @ cloud.T_base_object
-    )
-    view, turned = hand_view(cloud, own.T_base_grasp, T_base_target, ALL_POINTS), hand_view(moved, turn @ own.T_base_grasp, turn @ T_base_target, ALL_POINTS)
+    moved = SceneCloud(cloud.scene_id, (cloud.points_m @ turn[:3, :3].T).astype(np.float32), cloud.point_types, turn @ cloud.T_base_object)
+    view = hand_view(cloud, own.T_base_grasp, T_base_target, ALL_POINTS)
+    turned = hand_view(moved, turn @ own.T_base_grasp, turn @ T_base_target, ALL_POINTS)
     for k, feature in enumerate(FEATURES):
         is_equal = np.allclose(turned.features[:, k], view.features[:, k], atol=1e-5)
         assert is_equal is (feature.name not in TURNING), feature.name
