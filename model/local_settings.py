@@ -52,6 +52,7 @@ FULL = LocalSettings(n_epochs=20, n_cpu_threads=1, use_bfloat16=False)
 
 LIGHT = LocalSettings(
     name="light",
+    n_bins=8,
     dropout=0.3,  # few scenes are memorised sooner
     n_epochs=24,
     scenes_per_batch=1,  # six to fifty training scenes: more, smaller steps
