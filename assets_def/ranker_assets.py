@@ -36,8 +36,9 @@ from assets_def.resources import Benchmark
 from assets_def.steps import Step
 from model.checkpoint import identity_of, input_errors
 from model.inputs import contract_hash
+from model.networks import settings_named
 from model.scoring import decision_times, score
-from model.settings import Variant, settings_named, settings_to_dict
+from model.settings import Variant, settings_to_dict
 from model.training import train
 from reports.ranking import ranker_timing_rows
 from tables.schemas import PREDICTIONS, TIMINGS
@@ -90,7 +91,7 @@ def _ranker_checks(benchmark: Benchmark, partition: str) -> Iterator[AssetCheckR
 
 
 def _train(benchmark: Benchmark, key: RankerKey) -> tuple[list[Path], dict[str, Any]]:
-    settings = settings_named(SETTING_OF_TIER[key.tier])
+    settings = settings_named(SETTING_OF_TIER[key.tier], key.variant)
     out_dir = _checkpoint(benchmark, key)
     result = train(benchmark.root.release(key.tier), key.variant, key.seed, settings, out_dir, resume=True)
     facts = {
@@ -108,7 +109,7 @@ def _train(benchmark: Benchmark, key: RankerKey) -> tuple[list[Path], dict[str, 
 def _ranker_products(benchmark: Benchmark, partition: str) -> tuple[FilesProduct]:
     """A checkpoint and what decides a training: its identity but for the manifest, which also names what no training reads."""
     key = parse_ranker_key(partition)
-    settings = settings_named(SETTING_OF_TIER[key.tier])
+    settings = settings_named(SETTING_OF_TIER[key.tier], key.variant)
     identity = identity_of(benchmark.root.release(key.tier), key.variant, key.seed, settings)
     made_from = {
         "code": MODEL_CODE_VERSION,

@@ -10,50 +10,41 @@ import torch
 from jaxtyping import Int
 
 from model.clouds import GroupedClouds, grouped_clouds
+from model.grouping import Grouping, group_starts
 from model.inputs import ReleaseInputs
 from model.labels import Labels
 from model.losses import Supervision
 from model.ranker import ModelInput, pose9
-from model.settings import RankerSettings, Variant
+from model.settings import RankerSettings, TrainingSettings, Variant
 from tables.identity import rng_for
 
 
 @dataclass(frozen=True, slots=True)
-class EncodedRelease:
+class EncodedRelease(Grouping):
     """The inputs of all candidates as tensors on the CPU: at the full setting 45 kB a fixed-target group."""
 
     clouds: GroupedClouds
     target_pose: torch.Tensor
     grasp_pose: torch.Tensor
     object_relative_pose: torch.Tensor
-    group_scene: Int[np.ndarray, "g"]
-    group_start: Int[np.ndarray, "g+1"]  # candidates of group k are group_start[k] ... group_start[k + 1] - 1
 
-    @property
-    def n_scenes(self) -> int:
-        return int(self.group_scene[-1]) + 1 if len(self.group_scene) else 0
-
-    def groups_of_scenes(self, scenes: Sequence[int]) -> Int[np.ndarray, "g"]:
-        return np.concatenate([np.flatnonzero(self.group_scene == scene) for scene in scenes])
-
-    def candidates_of(self, groups: Sequence[int] | Int[np.ndarray, "g"]) -> Int[np.ndarray, "c"]:
-        return np.concatenate([np.arange(self.group_start[g], self.group_start[g + 1]) for g in groups])
+    def network_input(self, groups: Int[np.ndarray, "g"], device: torch.device) -> ModelInput:
+        return model_input(self, groups, device)
 
 
 def encode_release(inputs: ReleaseInputs, settings: RankerSettings, variant: Variant) -> EncodedRelease:
     """Sample and group every cloud, and write poses as 9 numbers."""
-    n_groups = len(inputs.group_scene)
     return EncodedRelease(
         clouds=grouped_clouds(inputs, settings, has_target_copy=variant is not Variant.NO_TARGET_HYPOTHESIS),
         target_pose=torch.from_numpy(pose9(inputs.T_base_target)),
         grasp_pose=torch.from_numpy(pose9(inputs.T_base_grasp)),
         object_relative_pose=torch.from_numpy(pose9(inputs.T_grasp_object)),
         group_scene=inputs.group_scene,
-        group_start=np.searchsorted(inputs.candidate_group, np.arange(n_groups + 1)),
+        group_start=group_starts(inputs.candidate_group, len(inputs.group_scene)),
     )
 
 
-def scene_batches(n_scenes: int, settings: RankerSettings, seed: int, epoch: int) -> Iterator[Int[np.ndarray, "s"]]:
+def scene_batches(n_scenes: int, settings: TrainingSettings, seed: int, epoch: int) -> Iterator[Int[np.ndarray, "s"]]:
     """Scene numbers of each batch: every scene once an epoch."""
     order = rng_for(seed, "ranker-epoch", epoch).permutation(n_scenes)
     for first in range(0, n_scenes, settings.scenes_per_batch):
@@ -78,7 +69,7 @@ def model_input(release: EncodedRelease, groups: Int[np.ndarray, "g"], device: t
     )
 
 
-def supervision(release: EncodedRelease, labels: Labels, groups: Int[np.ndarray, "g"], device: torch.device) -> Supervision:
+def supervision(release: Grouping, labels: Labels, groups: Int[np.ndarray, "g"], device: torch.device) -> Supervision:
     """Labels and ranking groups of the candidates of some groups, numbered as `model_input` numbers them."""
     candidates = release.candidates_of(groups)
     sizes = release.group_start[groups + 1] - release.group_start[groups]

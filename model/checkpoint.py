@@ -15,10 +15,10 @@ import torch
 
 from model.errors import CheckpointError, RankerError, one_line
 from model.inputs import KEY_COLUMNS, column_errors, contract_hash
+from model.networks import Network, build_network, settings_kind
 from model.outputs import check_writable, writing
-from model.ranker import Ranker
 from model.release_tables import manifest_sha256, published_sha256
-from model.settings import RankerSettings, Variant, check_seed, scheme_named, settings_from_dict, settings_to_dict, variant_named
+from model.settings import TrainingSettings, Variant, check_seed, scheme_named, settings_from_dict, settings_to_dict, variant_named
 from tables.schemas import SCHEMA_VERSION
 from tables.store import file_sha256, write_bytes_atomically, write_text_atomically
 from tables.vocabulary import SplitScheme
@@ -40,7 +40,7 @@ class TrainingIdentity:
 
     variant: Variant
     seed: int
-    settings: RankerSettings
+    settings: TrainingSettings
     release_sha256: str  # of the tables that are read: inputs, labels, splits
     manifest_sha256: str | None  # of manifest.json in the release; null for a folder without one
     split_scheme: SplitScheme = SplitScheme.SCENE  # younger than the format: a checkpoint that does not say was trained under the paper's
@@ -66,7 +66,7 @@ class Progress:
 
 
 def identity_of(
-    release_dir: Path, variant: Variant, seed: int, settings: RankerSettings, scheme: SplitScheme = SplitScheme.SCENE
+    release_dir: Path, variant: Variant, seed: int, settings: TrainingSettings, scheme: SplitScheme = SplitScheme.SCENE
 ) -> TrainingIdentity:
     """Identity of a training on a release; raises InputError where a table is missing or not the one that was published."""
     digest = hashlib.sha256()
@@ -103,7 +103,7 @@ def save_checkpoint(
         write_text_atomically(directory / _DESCRIPTION, json.dumps(described, indent=2, allow_nan=False) + "\n")
 
 
-def load_checkpoint(directory: Path) -> tuple[Ranker, TrainingIdentity, Progress]:
+def load_checkpoint(directory: Path) -> tuple[Network, TrainingIdentity, Progress]:
     """The ranker of a checkpoint, ready to score.
 
     Raises:
@@ -113,7 +113,7 @@ def load_checkpoint(directory: Path) -> tuple[Ranker, TrainingIdentity, Progress
     described = _read_description(directory)
     identity, progress = _parsed(path, described)
     weights = _read_weights(directory / _WEIGHTS, str(described.get("weights_sha256")))
-    ranker = Ranker(identity.settings, identity.variant, None)
+    ranker = build_network(identity.settings, identity.variant, None)
     check_weights(ranker, weights, directory / _WEIGHTS)
     ranker.load_state_dict(weights)
     found = _sha256_of(described)
@@ -142,7 +142,7 @@ def input_errors(directory: Path) -> list[str]:
     return column_errors(selected, identity.split_scheme)
 
 
-def check_weights(ranker: Ranker, weights: Mapping[str, torch.Tensor], path: Path) -> None:
+def check_weights(ranker: Network, weights: Mapping[str, torch.Tensor], path: Path) -> None:
     """Raise CheckpointError where weights read from `path` are not finite or do not fit a ranker."""
     expected = ranker.state_dict()
     strange = sorted(expected.keys() ^ weights.keys())
@@ -230,9 +230,10 @@ def _parsed(path: Path, described: Mapping[str, Any]) -> tuple[TrainingIdentity,
             if described[name] != expected:
                 raise CheckpointError(f"{name} is {described[name]}, must be {expected}")
         identity, progress = described["identity"], described["progress"]
+        variant = variant_named(identity["variant"])
         parsed = {
-            "variant": variant_named(identity["variant"]),
-            "settings": settings_from_dict(identity["settings"]),
+            "variant": variant,
+            "settings": settings_from_dict(settings_kind(variant), identity["settings"]),
             "split_scheme": scheme_named(identity.get("split_scheme", SplitScheme.SCENE)),
         }
         return TrainingIdentity(**{**identity, **parsed}), Progress(**{**progress, "history": tuple(progress["history"])})

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import torch
 
 from model.errors import SettingsError
-from model.settings import RankerSettings
+from model.settings import TrainingSettings
 
 
 def device_named(name: str) -> torch.device:
@@ -24,7 +24,7 @@ def device_named(name: str) -> torch.device:
 
 
 @contextmanager
-def deterministic(settings: RankerSettings, device: torch.device) -> Iterator[None]:
+def deterministic(settings: TrainingSettings, device: torch.device) -> Iterator[None]:
     """Deterministic kernels and the number of threads of the settings inside; what the caller had comes back, its random state too."""
     # cuBLAS reads this when its first handle is made; without it deterministic mode refuses matrix products.
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")

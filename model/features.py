@@ -90,6 +90,15 @@ _OBJECT_IN_HAND = (
     Feature("hand_object_m", "m", "signed distance of the hand's body to the object's points"),
     Feature("fingers_object_m", "m", "signed distance of the open fingers to the object's points"),
 )
+# In the frame of the object itself an object looks the same in every scene, and a grasp of its pool is at the same place.
+_OBJECT_ITSELF = (
+    *(
+        Feature(f"object_{axis}_{bound}_m", "m", f"{meaning} of the object's points along {axis} of the object frame")
+        for axis in "xyz"
+        for bound, meaning in (("low", "lowest"), ("high", "highest"))
+    ),
+    *(Feature(f"object_grasp_{axis}_m", "m", f"TCP at the grasp, object frame: {axis}") for axis in "xyz"),
+)
 _OBJECT_AT_TARGET = (
     *(
         Feature(f"{when}_{name}", "m", f"{meaning} of the object's points {where}")
@@ -116,15 +125,26 @@ _OBJECT_AT_TARGET = (
 )
 
 RAW_POSE_FEATURES: tuple[Feature, ...] = tuple(feature for name in ("grasp", "target", "relative") for feature in _pose(name, _POSES[name]))
-FEATURES: tuple[Feature, ...] = (
+POSE_FEATURES: tuple[Feature, ...] = (
     *RAW_POSE_FEATURES,
     *_pose("composed", _POSES["composed"]),
     *(feature for phase in ("pick", "place") for feature in _arm(phase)),
     *(feature for phase in ("pick", "place", "above15", "back15") for feature in _reach(phase)),
+    Feature("swing_rad", "rad", "turn of the TCP about the base axis from the grasp to the place"),
+)
+FEATURES: tuple[Feature, ...] = (
+    *POSE_FEATURES,
     *_OBJECT_IN_HAND,
+    *_OBJECT_ITSELF,
     *_OBJECT_AT_TARGET,
     *(feature for phase in ("pick", "place", "back15") for feature in _table(phase)),
     *(feature for phase in PHASES for feature in _obstacles(phase)),
+)
+
+# What changes when a scene is turned as a whole about the base axis, which makes no difference to the arm but for the ends of joint 1.
+TURNING = frozenset(
+    {f"{name}_{part}" for name in ("grasp", "target", "composed") for part in ("x_m", "y_m", "yx", "yy", "zx", "zy")}
+    | {f"{phase}_azimuth_rad" for phase in ("pick", "place")}
 )
 
 CANDIDATE_GEOMETRY = TableSchema(

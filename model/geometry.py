@@ -78,28 +78,25 @@ def _of_group(
     """Features of the candidates of one target."""
     n = len(T_base_grasp)
     T_base_place = place_pose(T_base_target, scene.T_base_object, T_base_grasp)
-    hand_of = {"pick": T_base_grasp, "place": T_base_place, "back15": T_base_place.copy()}
-    for phase, offset_m in _OFFSETS_M.items():
-        hand_of[phase] = T_base_place.copy()
-        hand_of[phase][:, 2, 3] += offset_m
-    hand_of["back15"][:, :3, 3] -= _BACK_M * T_base_place[:, :3, 2]
+    hand_of = hand_poses(T_base_grasp, T_base_place)
 
     poses = {"grasp": T_base_grasp, "relative": T_grasp_object, "composed": T_base_place}
-    columns = {name: values for prefix, T in poses.items() for name, values in _pose_columns(prefix, T).items()}
-    columns |= _pose_columns("target", np.broadcast_to(T_base_target, (n, 4, 4)))
+    columns = {name: values for prefix, T in poses.items() for name, values in pose_geometry(prefix, T).items()}
+    columns |= pose_geometry("target", np.broadcast_to(T_base_target, (n, 4, 4)))
     for phase in ("pick", "place"):
-        columns |= _arm_columns(phase, hand_of[phase], scene.table_m)
+        columns |= arm_geometry(phase, hand_of[phase], scene.table_m)
     for phase in ("pick", "place", "above15", "back15"):
-        columns |= _reach_columns(phase, hand_of[phase])
+        columns |= reach_geometry(phase, hand_of[phase])
+    columns |= swing_geometry(hand_of)
 
     inhand_m = moved(inverse(T_base_grasp), np.broadcast_to(scene.object_m, (n, *scene.object_m.shape)))
     held = _held_columns(inhand_m)
     boxes = hand_boxes(open_jaw_m(held["held_width_m"]))
     to_object = box_distance_m(inhand_m, *boxes)
     columns |= held | {"hand_object_m": to_object[:, 0], "fingers_object_m": to_object[:, 1:].min(axis=1)}
-    columns |= _object_columns(scene, T_base_target, n)
+    columns |= _object_columns(scene, T_base_target, n) | grasp_in_object(T_grasp_object)
     for phase in ("pick", "place"):
-        columns |= _weight_columns(phase, hand_of[phase], inhand_m.mean(axis=1))
+        columns |= weight_geometry(phase, hand_of[phase], inhand_m.mean(axis=1))
     for phase in ("pick", "place", "back15"):
         low_m = lowest_corner_m(hand_of[phase], *boxes) - scene.table_m
         columns |= {f"{phase}_hand_low_m": low_m[:, 0], f"{phase}_fingers_low_m": low_m[:, 1:].min(axis=1)}
@@ -118,19 +115,29 @@ def place_pose(
     return T_base_place
 
 
-def _pose_columns(prefix: str, T: Float[np.ndarray, "c 4 4"]) -> Columns:
+def hand_poses(T_base_grasp: Float[np.ndarray, "c 4 4"], T_base_place: Float[np.ndarray, "c 4 4"]) -> dict[str, Float[np.ndarray, "c 4 4"]]:
+    """Where the TCP is in each of PHASES, base frame."""
+    hand_of = {"pick": T_base_grasp, "place": T_base_place, "back15": T_base_place.copy()}
+    for phase, offset_m in _OFFSETS_M.items():
+        hand_of[phase] = T_base_place.copy()
+        hand_of[phase][:, 2, 3] += offset_m
+    hand_of["back15"][:, :3, 3] -= _BACK_M * T_base_place[:, :3, 2]
+    return hand_of
+
+
+def pose_geometry(prefix: str, T: Float[np.ndarray, "c 4 4"]) -> Columns:
     columns = {f"{prefix}_{axis}_m": T[:, k, 3] for k, axis in enumerate("xyz")}
     return columns | {f"{prefix}_{of}{axis}": T[:, k, column] for column, of in ((1, "y"), (2, "z")) for k, axis in enumerate("xyz")}
 
 
-def _wrist_m(T: Float[np.ndarray, "c 4 4"]) -> Float[np.ndarray, "c 3"]:
+def wrist_point_m(T: Float[np.ndarray, "c 4 4"]) -> Float[np.ndarray, "c 3"]:
     wrist_m: Float[np.ndarray, "c 3"] = T[:, :3, 3] - WRIST_FROM_TCP_M * T[:, :3, 2]
     return wrist_m
 
 
-def _arm_columns(phase: str, T: Float[np.ndarray, "c 4 4"], table_m: float) -> Columns:
+def arm_geometry(phase: str, T: Float[np.ndarray, "c 4 4"], table_m: float) -> Columns:
     """Wrist, approach and jaw in the vertical plane of the base axis and the TCP."""
-    wrist_m = _wrist_m(T)
+    wrist_m = wrist_point_m(T)
     azimuth_rad = np.arctan2(T[:, 1, 3], T[:, 0, 3])
     cos, sin = np.cos(azimuth_rad), np.sin(azimuth_rad)
     columns = {
@@ -146,9 +153,9 @@ def _arm_columns(phase: str, T: Float[np.ndarray, "c 4 4"], table_m: float) -> C
     return columns
 
 
-def _reach_columns(phase: str, T: Float[np.ndarray, "c 4 4"]) -> Columns:
+def reach_geometry(phase: str, T: Float[np.ndarray, "c 4 4"]) -> Columns:
     """Joint 7 turns the axis of joint 6 on a circle about the approach: its nearest and furthest distance from the shoulder."""
-    to_shoulder_m = np.array(SHOULDER_M) - _wrist_m(T)
+    to_shoulder_m = np.array(SHOULDER_M) - wrist_point_m(T)
     along_m = np.sum(to_shoulder_m * T[:, :3, 2], axis=1)
     across_m = np.linalg.norm(to_shoulder_m - along_m[:, None] * T[:, :3, 2], axis=1)
     return {
@@ -171,7 +178,7 @@ def _held_columns(inhand_m: Float[np.ndarray, "c n 3"]) -> Columns:
 def _object_columns(scene: _ScenePoints, T_base_target: Float[np.ndarray, "4 4"], n: int) -> Columns:
     T_to_target = T_base_target @ inverse(scene.T_base_object)
     moved_m = moved(T_to_target, scene.object_m)
-    values: dict[str, float] = {}
+    values = _extents(moved(inverse(scene.T_base_object), scene.object_m))
     for when, points_m in (("initial", scene.object_m), ("moved", moved_m)):
         mean_m = points_m.mean(axis=0)
         values[f"{when}_height_m"] = points_m[:, 2].max() - scene.table_m
@@ -186,7 +193,22 @@ def _object_columns(scene: _ScenePoints, T_base_target: Float[np.ndarray, "4 4"]
     return {name: np.full(n, value) for name, value in values.items()}
 
 
-def _weight_columns(phase: str, T: Float[np.ndarray, "c 4 4"], mean_inhand_m: Float[np.ndarray, "c 3"]) -> Columns:
+def _extents(points_m: Float[np.ndarray, "n 3"]) -> dict[str, float]:
+    low_m, high_m = points_m.min(axis=0), points_m.max(axis=0)
+    return {f"object_{axis}_{of}_m": float(m[k]) for k, axis in enumerate("xyz") for of, m in (("low", low_m), ("high", high_m))}
+
+
+def grasp_in_object(T_grasp_object: Float[np.ndarray, "c 4 4"]) -> Columns:
+    T_object_grasp = inverse(T_grasp_object)
+    return {f"object_grasp_{axis}_m": T_object_grasp[:, k, 3] for k, axis in enumerate("xyz")}
+
+
+def swing_geometry(hand_of: dict[str, Float[np.ndarray, "c 4 4"]]) -> Columns:
+    (x, y), (to_x, to_y) = (hand_of[phase][:, :2, 3].T for phase in ("pick", "place"))
+    return {"swing_rad": np.arctan2(x * to_y - y * to_x, x * to_x + y * to_y)}
+
+
+def weight_geometry(phase: str, T: Float[np.ndarray, "c 4 4"], mean_inhand_m: Float[np.ndarray, "c 3"]) -> Columns:
     """Lever of a weight at the mean of the object's points; only its part about the jaw axis turns the object between the pads."""
     from_tcp_m = moved(T, mean_inhand_m[:, None])[:, 0] - T[:, :3, 3]
     torque = np.cross(from_tcp_m, np.array([0.0, 0.0, -1.0]))
@@ -204,7 +226,7 @@ def _obstacle_columns(
     if not len(scene.obstacle_m):
         return {name: np.full(len(T), FURTHEST_M) for name in names}
     to_boxes = box_distance_m(moved(inverse(T), np.broadcast_to(scene.obstacle_m, (len(T), *scene.obstacle_m.shape))), *boxes)
-    wrist_m = _wrist_m(T)
+    wrist_m = wrist_point_m(T)
     to_wrist = segment_distance_m(scene.obstacle_m, wrist_m, wrist_m)
     to_arm = segment_distance_m(scene.obstacle_m, np.broadcast_to(SHOULDER_M, wrist_m.shape), wrist_m)
     nearest = (to_boxes[:, 0], to_boxes[:, 1:].min(axis=1), to_wrist, to_arm)

@@ -43,6 +43,16 @@ def hand_boxes(jaw_m: Float[np.ndarray, "*c"]) -> tuple[Float[np.ndarray, "*c 5 
     return centres, half
 
 
+def folded_hand_boxes() -> tuple[tuple[tuple[float | None, float], tuple[float, ...]], ...]:
+    """((y, z) of the centre for a shut jaw, half edge lengths) of body, pad and finger on the side of +y.
+
+    The hand is its own mirror image in x and y, so these three tell the distance of |x|, |y|, z from all five boxes; y of the body is None:
+    the middle, whatever the jaw does.
+    """
+    parts = ((_BODY, True), *((finger, False) for finger in _FINGER))
+    return tuple(((None if is_body else y, z), tuple(edge / 2 for edge in size)) for ((_, y, z), size), is_body in parts)
+
+
 def open_jaw_m(width_m: Float[np.ndarray, "*c"]) -> Float[np.ndarray, "*c"]:
     """Opening of the jaw around something of a width: 12 mm more on both sides, at most fully open."""
     opening: Float[np.ndarray, "*c"] = np.minimum(MAX_JAW_M, np.asarray(width_m) + 2 * OPEN_CLEARANCE_M)

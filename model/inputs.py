@@ -124,8 +124,11 @@ class InputReader:
         return rows
 
 
-def read_inputs(reader: InputReader, scene_ids: Collection[str] | None = None) -> ReleaseInputs:
+def read_inputs(reader: InputReader, scene_ids: Collection[str] | None = None, has_points: bool = True) -> ReleaseInputs:
     """The five inputs of the candidates of `scene_ids`, or of all scenes that have candidates.
+
+    Args:
+        has_points: False leaves the clouds empty, as a light release has none.
 
     Raises:
         InputError: a table is missing or holds an impossible value, a candidate without scene, target or grasp, or an object that no
@@ -150,7 +153,7 @@ def read_inputs(reader: InputReader, scene_ids: Collection[str] | None = None) -
     T_base_grasp = _looked_up("grasps", grasps, list(zip(scene_of, grasp_of.tolist(), strict=True)))
     of_candidate = np.array([number_of_scene[scene_id] for scene_id in scene_of], dtype=np.int64)
     return ReleaseInputs(
-        clouds=_read_clouds(reader, scenes, T_base_object),
+        clouds=_read_clouds(reader, scenes, T_base_object) if has_points else _empty_clouds(scenes, T_base_object),
         group_scene=np.array([number_of_scene[scene_id] for scene_id, _ in groups], dtype=np.int64),
         group_target_id=np.array([target_id for _, target_id in groups], dtype=np.int64),
         T_base_target=_looked_up("targets", targets, groups),
@@ -242,6 +245,11 @@ def _looked_up(table: str, poses: Mapping[tuple[Any, ...], Pose], keys: Sequence
         if key not in poses:
             raise InputError(f"{table}: no row {key}, which a candidate needs")
     return np.stack([poses[key] for key in keys]) if keys else np.empty((0, 4, 4))
+
+
+def _empty_clouds(scenes: Sequence[str], T_base_object: Float[np.ndarray, "s 4 4"]) -> tuple[SceneCloud, ...]:
+    no_points, no_types = np.empty((0, 3), dtype=np.float32), np.empty(0, dtype=np.int64)
+    return tuple(SceneCloud(scene_id, no_points, no_types, T) for scene_id, T in zip(scenes, T_base_object, strict=True))
 
 
 def _read_clouds(reader: InputReader, scenes: Sequence[str], T_base_object: Float[np.ndarray, "s 4 4"]) -> tuple[SceneCloud, ...]:

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch.nn import functional
 
 from model.ranker import Prediction
-from model.settings import RankerSettings
+from model.settings import TrainingSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +30,14 @@ class Supervision:
     def success(self) -> Bool[torch.Tensor, "c"]:
         return self.y_plan & self.y_pipe
 
+    def repeated(self, n: int) -> Supervision:
+        """The same of n copies of the batch, end to end, whose groups stay apart."""
+        groups = []
+        for rows in self.ranking_groups:
+            shift = torch.arange(n, device=rows.device)[:, None, None] * len(self.y_plan)
+            groups.append(torch.where(rows >= 0, rows + shift, rows).flatten(0, 1))
+        return Supervision(self.y_plan.repeat(n), self.y_pipe.repeat(n), tuple(groups))
+
 
 @dataclass(frozen=True, slots=True)
 class Losses:
@@ -41,7 +49,7 @@ class Losses:
     total: torch.Tensor
 
 
-def losses(prediction: Prediction, supervision: Supervision, settings: RankerSettings) -> Losses:
+def losses(prediction: Prediction, supervision: Supervision, settings: TrainingSettings) -> Losses:
     """2 L_plan + L_exec + 0.1 L_rank at the default weights.
 
     The direct variant has one head: binary cross-entropy of the final success over all candidates takes the place of L_plan, the term that

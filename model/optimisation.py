@@ -12,14 +12,15 @@ import torch
 from jaxtyping import Int
 from torch import nn
 
-from model.batches import EncodedRelease, model_input, scene_batches, supervision
+from model.batches import scene_batches, supervision
 from model.checkpoint import Progress, TrainingIdentity, Weights, check_weights
 from model.errors import CheckpointError, TrainingError
+from model.grouping import Grouping
 from model.labels import Labels
 from model.losses import Losses, losses
-from model.ranker import Ranker
+from model.networks import Network, build_network
 from model.scoring import predict, success_at_1
-from model.settings import RankerSettings
+from model.settings import TrainingSettings
 from tables.identity import order_key
 
 HistoryRow = dict[str, Any]
@@ -31,7 +32,7 @@ _MOMENTS = {"step", "exp_avg", "exp_avg_sq"}  # what torch.optim.AdamW keeps of 
 class Examples:
     """Scenes of one split: inputs and labels."""
 
-    release: EncodedRelease
+    release: Grouping
     labels: Labels
     n_candidates: int
 
@@ -42,7 +43,9 @@ class Run:
     def __init__(self, identity: TrainingIdentity, training: Examples, validation: Examples, device: torch.device) -> None:
         self.identity, self.training, self.validation, self.device = identity, training, validation, device
         settings = identity.settings
-        self.ranker = Ranker(settings, identity.variant, identity.seed).to(device)
+        network = build_network(settings, identity.variant, identity.seed)
+        network.fit(training.release)
+        self.ranker = network.to(device)
         self.optimiser = torch.optim.AdamW(self.ranker.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
         self.steps_per_epoch = math.ceil(training.release.n_scenes / settings.scenes_per_batch)
         self.history: list[HistoryRow] = []
@@ -89,11 +92,11 @@ class Run:
             parameters["lr"] = learning_rate_at(step, self.steps_per_epoch * settings.n_epochs, settings)
         # The dropout mask depends on seed and step alone, so a resumed training draws the same ones.
         torch.manual_seed(order_key(self.identity.seed, "ranker-dropout", step))
-        x = model_input(self.training.release, groups, self.device)
+        x = self.training.release.network_input(groups, self.device)
         labels = supervision(self.training.release, self.training.labels, groups, self.device)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=settings.use_bfloat16 and self.device.type == "cuda"):
-            prediction = self.ranker(x)
-        found = losses(prediction, labels, settings)
+            prediction = self.ranker.of_members(x)
+        found = losses(prediction, labels.repeated(self.ranker.n_members), settings)
         if not bool(torch.isfinite(found.total)):
             raise _diverged(f"step {step}: loss", found.total.item(), settings)
         self.optimiser.zero_grad(set_to_none=True)
@@ -130,7 +133,7 @@ class Run:
         self.history, self.best_epoch = list(progress.history), progress.best_epoch
 
 
-def learning_rate_at(step: int, n_steps: int, settings: RankerSettings) -> float:
+def learning_rate_at(step: int, n_steps: int, settings: TrainingSettings) -> float:
     """Linear warm-up, then a half cosine to zero (Loshchilov and Hutter 2017)."""
     n_warmup = max(1, round(settings.warmup_share * n_steps))
     if step < n_warmup:
@@ -143,7 +146,7 @@ def quality_of(row: HistoryRow) -> tuple[float, float, float]:
     return row["fixed_s1"] or 0.0, row["joint_s1"] or 0.0, -row["validation_loss"]
 
 
-def _validated(ranker: Ranker, validation: Examples, settings: RankerSettings, device: torch.device) -> HistoryRow:
+def _validated(ranker: Network, validation: Examples, settings: TrainingSettings, device: torch.device) -> HistoryRow:
     """Loss and S1 on the validation scenes, and what may choose the best epoch."""
     row: HistoryRow = {"validation_loss": None, "fixed_s1": None, "joint_s1": None, "n_fixed_covered": 0, "n_joint_covered": 0}
     release = validation.release
@@ -158,6 +161,6 @@ def _validated(ranker: Ranker, validation: Examples, settings: RankerSettings, d
     return row | {"selected_by": "validation S1" if row["n_fixed_covered"] else "validation loss (no covered validation group)"}
 
 
-def _diverged(what: str, value: float, settings: RankerSettings) -> TrainingError:
+def _diverged(what: str, value: float, settings: TrainingSettings) -> TrainingError:
     """Values that are read are finite, so it is the optimisation that went astray."""
     return TrainingError(f"{what} {value}, must be finite; lower learning_rate ({settings.learning_rate})")

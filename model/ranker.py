@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -77,7 +78,19 @@ class Ranker(nn.Module):
         self.plan_head = None if variant is Variant.DIRECT else nn.Linear(FUSION_WIDTHS[-1], 1)
         self.exec_head = nn.Linear(FUSION_WIDTHS[-1], 1)
         if seed is not None:
-            _initialise(self, seed)
+            initialise(self, seed)
+
+    def fit(self, release: Any) -> None:
+        """Takes nothing from the training candidates: its normalisation is constant."""
+
+    def of_members(self, x: ModelInput) -> Prediction:
+        """It has one member: itself."""
+        prediction: Prediction = self(x)
+        return prediction
+
+    @property
+    def n_members(self) -> int:
+        return 1
 
     def forward(self, x: ModelInput) -> Prediction:
         """Logits of every candidate; each cloud and each target is encoded once and shared by its candidates."""
@@ -122,7 +135,7 @@ def pose9(T: Float[np.ndarray, "*n 4 4"]) -> Float32[np.ndarray, "*n 9"]:
     return np.concatenate([T[..., :3, 3], columns], axis=-1).astype(np.float32)
 
 
-def _initialise(module: nn.Module, seed: int) -> None:
+def initialise(module: nn.Module, seed: int) -> None:
     """Uniform in +-1/sqrt(fan-in) (He et al. 2015 with torch's default slope), drawn per parameter name: no order or device matters."""
     for name, layer in module.named_modules():
         if isinstance(layer, nn.Linear):

@@ -81,6 +81,11 @@ def published_sha256(release_dir: Path, tables: Iterable[str]) -> dict[str, str]
     return found
 
 
+def is_published(release_dir: Path, table: str) -> bool:
+    """Whether a release holds a table: light ones lack those that can be made again."""
+    return (release_dir / f"{table}.parquet").exists() or any(release_dir.glob(f"{table}/split=*/*.parquet"))
+
+
 def manifest_sha256(release_dir: Path) -> str | None:
     """SHA-256 of the manifest of a release; None for a folder without one."""
     path = release_dir / _MANIFEST

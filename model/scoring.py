@@ -16,13 +16,14 @@ import pyarrow as pa
 import torch
 from jaxtyping import Float, Int
 
-from model.batches import EncodedRelease, encode_release, model_input
 from model.checkpoint import load_checkpoint
 from model.determinism import deterministic, device_named
 from model.errors import CheckpointError, InputError, RankerError, SettingsError
+from model.grouping import Grouping
 from model.inputs import InputReader, ReleaseInputs, read_inputs, restricted, scenes_of_split
+from model.networks import Network, encode
 from model.outputs import check_writable, writing
-from model.ranker import Prediction, Ranker
+from model.ranker import Prediction
 from model.release_tables import published_sha256
 from model.settings import SCHEME_OF_PREDICTIONS
 from tables.schemas import PREDICTIONS
@@ -58,7 +59,7 @@ def score(release_dir: Path, checkpoint_dir: Path, device: str = "auto") -> pa.T
     published_sha256(release_dir, reader.selected)
     if not inputs.candidate_ids:
         raise InputError(f"{release_dir}/candidates.parquet: no candidates to score, must have at least 1")
-    release = encode_release(inputs, identity.settings, identity.variant)
+    release = encode(inputs, identity.settings, identity.variant)
     chosen_device = device_named(device)
     with deterministic(identity.settings, chosen_device):
         prediction = predict(ranker.to(chosen_device), release, np.arange(len(release.group_scene)))
@@ -78,13 +79,13 @@ def score(release_dir: Path, checkpoint_dir: Path, device: str = "auto") -> pa.T
     )
 
 
-def predict(ranker: Ranker, release: EncodedRelease, groups: Int[np.ndarray, "g"]) -> Prediction:
+def predict(ranker: Network, release: Grouping, groups: Int[np.ndarray, "g"]) -> Prediction:
     """Prediction for the candidates of some groups, in order, without dropout and gradients, in float32."""
     device = next(ranker.parameters()).device
     was_training = ranker.training
     ranker.eval()
     with torch.inference_mode():
-        parts = [ranker(model_input(release, some, device)) for some in _chunks(groups)]
+        parts = [ranker(release.network_input(some, device)) for some in _chunks(groups)]
     ranker.train(was_training)
     plan = [part.plan_logit for part in parts if part.plan_logit is not None]
     execution = [part.exec_logit for part in parts]
@@ -117,12 +118,12 @@ def decision_times(
     return times
 
 
-def _timed(ranker: Ranker, inputs: ReleaseInputs) -> tuple[int, float, float]:
+def _timed(ranker: Network, inputs: ReleaseInputs) -> tuple[int, float, float]:
     """(candidates, seconds to prepare, seconds to run the network)."""
     device = next(ranker.parameters()).device
     start_s = time.perf_counter()
-    release = encode_release(inputs, ranker.settings, ranker.variant)
-    x = model_input(release, np.arange(len(release.group_scene)), device)
+    release = encode(inputs, ranker.settings, ranker.variant)
+    x = release.network_input(np.arange(len(release.group_scene)), device)
     _synchronise(device)
     prepared_s = time.perf_counter()
     with torch.inference_mode():

@@ -4,25 +4,33 @@ from __future__ import annotations
 
 import math
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeVar
 
 from model.errors import SettingsError
 from tables.vocabulary import SplitScheme
+
+S = TypeVar("S", bound="TrainingSettings")
 
 # Under this name the sidecar of a table of predictions says which split scheme its rankers were trained under; without it, the paper's.
 SCHEME_OF_PREDICTIONS = "split_scheme"
 
 
 class Variant(StrEnum):
-    """The ranker and its three ablations."""
+    """The paper's ranker and its three ablations, then our networks in the frame of the hand (local_ranker.py)."""
 
     FULL = "full"
     DIRECT = "direct"  # one head for final success, trained on all candidates
     NO_OBJECT_RELATIVE = "no_object_relative"  # the branch's 128 numbers are zero, every width stays
     NO_TARGET_HYPOTHESIS = "no_target_hypothesis"  # the cloud without the virtual target copy, nothing else changes
+    LOCAL = "local"  # what the hand of each candidate meets at the place
+    POSE_ONLY = "pose_only"  # the same network on poses alone, those at the place among them, without any point
+
+    @property
+    def is_local(self) -> bool:
+        return self in (Variant.LOCAL, Variant.POSE_ONLY)
 
 
 # Far beyond any use; a checkpoint whose sizes were edited must not ask for more memory than there is.
@@ -30,10 +38,51 @@ WIDEST, MOST_LAYERS, MOST_FREQUENCIES = 4096, 8, 16
 
 
 @dataclass(frozen=True, slots=True)
-class RankerSettings:
-    """Sizes of the network, fixed normalisation, loss weights and optimisation. The defaults are the `full` setting."""
+class TrainingSettings:
+    """What every training chooses, whatever it trains: dropout, loss weights and optimisation."""
 
     name: str = "full"
+    dropout: float = 0.2  # on the fusion layers: candidates of one scene share the cloud, so scenes are memorised quickly
+
+    # The loss: 2 planning + 1 execution + 0.1 ranking.
+    weight_plan: float = 2.0
+    weight_exec: float = 1.0
+    weight_rank: float = 0.1
+
+    # Optimisation.
+    n_epochs: int = 40
+    scenes_per_batch: int = 4  # whole scenes, about 32 clouds and 800 candidates, so that joint groups are complete
+    learning_rate: float = 1e-3
+    warmup_share: float = 0.05  # share of all steps
+    weight_decay: float = 1e-2
+    max_gradient_norm: float = 1.0
+    use_bfloat16: bool = True  # on CUDA only, in training only: scoring is float32 everywhere
+    n_cpu_threads: int = 0  # 0 leaves it to torch: on CUDA it decides nothing
+
+    def __post_init__(self) -> None:
+        for field, value in asdict(self).items():
+            numbers = value if isinstance(value, tuple) else (value,)
+            if not all(math.isfinite(number) for number in numbers if isinstance(number, float)):
+                raise SettingsError(f"{field}: {value}, must be finite")
+        check_positive(self, ("n_epochs", "scenes_per_batch", "learning_rate", "max_gradient_norm"))
+        for field in ("weight_plan", "weight_exec", "weight_rank", "weight_decay", "n_cpu_threads"):
+            if not getattr(self, field) >= 0:
+                raise SettingsError(f"{field}: {getattr(self, field)}, must be at least 0")
+        for field, low, high in (("dropout", 0.0, 1.0), ("warmup_share", 0.0, 1.0)):
+            if not low <= getattr(self, field) < high:
+                raise SettingsError(f"{field}: {getattr(self, field)}, must be in [{low}, {high})")
+
+
+def check_positive(settings: TrainingSettings, fields: Sequence[str]) -> None:
+    """Raise SettingsError for the first field that is not above 0."""
+    for field in fields:
+        if not getattr(settings, field) > 0:
+            raise SettingsError(f"{field}: {getattr(settings, field)}, must be above 0")
+
+
+@dataclass(frozen=True, slots=True)
+class RankerSettings(TrainingSettings):
+    """Sizes of the paper's network and its fixed normalisation. The defaults are the `full` setting."""
 
     # The cloud. A quarter of the points a type: sampled uniformly, nearly all would lie on the table, which is the same in every scene.
     n_points: int = 1024
@@ -59,38 +108,10 @@ class RankerSettings:
     # Finest wave 50 cm in the workspace and 10 cm in the hand. On 36 and on 150 synthetic training scenes the validation loss was lowest
     # with 2, then 4, then 6 octaves: finer waves memorise target poses, and the layers behind resolve more than a wave.
     n_frequencies: int = 2
-    dropout: float = 0.2  # on the fusion layers: candidates of one scene share the cloud, so scenes are memorised quickly
-
-    # The loss: 2 planning + 1 execution + 0.1 ranking.
-    weight_plan: float = 2.0
-    weight_exec: float = 1.0
-    weight_rank: float = 0.1
-
-    # Optimisation.
-    n_epochs: int = 40
-    scenes_per_batch: int = 4  # whole scenes, about 32 clouds and 800 candidates, so that joint groups are complete
-    learning_rate: float = 1e-3
-    warmup_share: float = 0.05  # share of all steps
-    weight_decay: float = 1e-2
-    max_gradient_norm: float = 1.0
-    use_bfloat16: bool = True  # on CUDA only, in training only: scoring is float32 everywhere
-    n_cpu_threads: int = 0  # 0 leaves it to torch: on CUDA it decides nothing
 
     def __post_init__(self) -> None:
-        for field, value in asdict(self).items():
-            numbers = value if isinstance(value, tuple) else (value,)
-            if not all(math.isfinite(number) for number in numbers if isinstance(number, float)):
-                raise SettingsError(f"{field}: {value}, must be finite")
-        for field in _POSITIVE:
-            value = getattr(self, field)
-            if not value > 0:
-                raise SettingsError(f"{field}: {value}, must be above 0")
-        for field in ("weight_plan", "weight_exec", "weight_rank", "weight_decay", "n_cpu_threads"):
-            if not getattr(self, field) >= 0:
-                raise SettingsError(f"{field}: {getattr(self, field)}, must be at least 0")
-        for field, low, high in (("dropout", 0.0, 1.0), ("warmup_share", 0.0, 1.0)):
-            if not low <= getattr(self, field) < high:
-                raise SettingsError(f"{field}: {getattr(self, field)}, must be in [{low}, {high})")
+        TrainingSettings.__post_init__(self)
+        check_positive(self, _POSITIVE)
         if self.n_points % 4 or self.n_points > 16_384:
             raise SettingsError(f"n_points: {self.n_points}, must be a multiple of 4 (one quarter a point type) and at most 16384")
         for field, bound in (("n_centres_1", self.n_points * 3 // 4), ("n_centres_2", self.n_centres_1)):
@@ -111,7 +132,6 @@ class RankerSettings:
 _POSITIVE = (
     *("n_points", "n_centres_1", "n_neighbours_1", "radius_1_m", "n_centres_2", "n_neighbours_2", "radius_2_m"),
     *("workspace_scale_m", "hand_scale_m", "width_global", "n_type_features", "n_frequencies"),
-    *("n_epochs", "scenes_per_batch", "learning_rate", "max_gradient_norm"),
 )
 
 FULL = RankerSettings()
@@ -137,15 +157,6 @@ LIGHT = RankerSettings(
     n_cpu_threads=1,
 )
 
-_NAMED = {settings.name: settings for settings in (FULL, LIGHT)}
-
-
-def settings_named(name: str) -> RankerSettings:
-    """`full` or `light`; raises SettingsError on another name."""
-    if name not in _NAMED:
-        raise SettingsError(f"setting {name!r}, must be one of {sorted(_NAMED)}")
-    return _NAMED[name]
-
 
 def variant_named(name: str) -> Variant:
     """The variant of that name; raises SettingsError on another name."""
@@ -169,17 +180,17 @@ def check_seed(seed: int) -> None:
         raise SettingsError(f"seed: {seed!r}, must be a whole number in [{-(2**31)}, {2**31 - 1}]")
 
 
-def settings_to_dict(settings: RankerSettings) -> dict[str, Any]:
+def settings_to_dict(settings: TrainingSettings) -> dict[str, Any]:
     """Plain values that JSON holds."""
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(settings).items()}
 
 
-def settings_from_dict(values: Mapping[str, Any]) -> RankerSettings:
+def settings_from_dict(kind: type[S], values: Mapping[str, Any]) -> S:
     """Inverse of `settings_to_dict`; raises SettingsError on an unknown or missing name or a value of another type."""
-    kinds = typing.get_type_hints(RankerSettings)
+    kinds = typing.get_type_hints(kind)
     if set(values) != set(kinds):
         raise SettingsError(f"settings {sorted(set(values) ^ set(kinds))} are unknown or missing")
-    return RankerSettings(**{name: _typed(name, kind, values[name]) for name, kind in kinds.items()})
+    return kind(**{name: _typed(name, of, values[name]) for name, of in kinds.items()})
 
 
 def _typed(name: str, kind: Any, value: Any) -> Any:

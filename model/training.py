@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from model.batches import encode_release
 from model.checkpoint import (
     RESUME,
     check_checkpoint_writable,
@@ -26,8 +25,9 @@ from model.determinism import deterministic, device_named
 from model.errors import RankerError, TrainingError
 from model.inputs import InputReader, ReleaseInputs, read_inputs, scenes_of_split
 from model.labels import Labels, read_labels
+from model.networks import encode, settings_named
 from model.optimisation import Examples, HistoryRow, Run
-from model.settings import RankerSettings, Variant, check_seed, scheme_named, settings_named, variant_named
+from model.settings import TrainingSettings, Variant, check_seed, scheme_named, variant_named
 from tables.vocabulary import Split, SplitScheme
 
 
@@ -49,7 +49,7 @@ def train(
     release_dir: Path,
     variant: Variant | str,
     seed: int,
-    settings: RankerSettings,
+    settings: TrainingSettings,
     out_dir: Path,
     *,
     scheme: SplitScheme | str = SplitScheme.SCENE,
@@ -115,8 +115,8 @@ def _read_split(reader: InputReader, split: Split) -> tuple[ReleaseInputs, Label
     return inputs, read_labels(reader.release_dir, inputs.candidate_ids)
 
 
-def _examples(inputs: ReleaseInputs, labels: Labels, settings: RankerSettings, variant: Variant) -> Examples:
-    return Examples(encode_release(inputs, settings, variant), labels, len(inputs.candidate_ids))
+def _examples(inputs: ReleaseInputs, labels: Labels, settings: TrainingSettings, variant: Variant) -> Examples:
+    return Examples(encode(inputs, settings, variant), labels, len(inputs.candidate_ids))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -133,7 +133,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     start_s = time.perf_counter()
     try:
-        settings = settings_named(options.setting)
+        settings = settings_named(options.setting, variant_named(options.variant))
         if options.epochs is not None:
             settings = replace(settings, n_epochs=options.epochs)
         keywords = {"scheme": options.split, "device": options.device, "resume": options.resume}

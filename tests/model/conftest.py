@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from model.settings import LIGHT, RankerSettings
+from model import local_settings
+from model.local_settings import LocalSettings
+from model.settings import LIGHT, RankerSettings, TrainingSettings, Variant
 from model.training import train
 from tests.model.commands import Commands
 from tests.model.damage import copy_of
@@ -27,10 +29,35 @@ TINY = replace(
     n_epochs=4,
 )
 
+TINY_LOCAL = replace(
+    local_settings.LIGHT,
+    name="tiny",
+    n_object_points=8,
+    n_obstacle_points=16,
+    n_environment_points=8,
+    n_near_obstacle=6,
+    n_near_environment=3,
+    point_widths=(8, 12),
+    widths=(24, 16),
+    head_width=8,
+    n_bins=4,
+    n_members=3,
+    n_epochs=4,
+)
+
 
 @pytest.fixture(scope="session")
 def tiny() -> RankerSettings:
     return TINY
+
+
+@pytest.fixture(scope="session")
+def tiny_local() -> LocalSettings:
+    return TINY_LOCAL
+
+
+def tiny_of(variant: Variant) -> TrainingSettings:
+    return TINY_LOCAL if variant.is_local else TINY
 
 
 @pytest.fixture(scope="session")

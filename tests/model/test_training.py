@@ -18,6 +18,7 @@ import pytest
 import safetensors.torch
 import torch
 
+from model import local_settings
 from model.batches import scene_batches
 from model.errors import CheckpointError, RankerError, SettingsError, TrainingError
 from model.inputs import InputReader, read_inputs
@@ -28,6 +29,7 @@ from model.settings import LIGHT, RankerSettings, Variant, settings_from_dict, s
 from model.training import main, train
 from tables.schemas import CANDIDATES
 from tables.store import read_table, write_table
+from tests.model.conftest import tiny_of
 from tests.model.damage import rewrite
 from tests.model.synthetic_release import write_synthetic_release
 
@@ -68,9 +70,8 @@ def test_two_trainings_with_one_seed_are_equal_and_another_seed_differs(small_re
 
 
 @pytest.mark.parametrize("variant", list(Variant))
-def test_a_resumed_training_equals_an_uninterrupted_one(
-    small_release: Path, tiny: RankerSettings, tmp_path: Path, variant: Variant
-) -> None:
+def test_a_resumed_training_equals_an_uninterrupted_one(small_release: Path, tmp_path: Path, variant: Variant) -> None:
+    tiny = tiny_of(variant)
     whole = train(small_release, variant, 5, tiny, tmp_path / "whole")
     with pytest.raises(KeyboardInterrupt):
         train(small_release, variant, 5, tiny, tmp_path / "parts", on_epoch=_interrupt_after(1))
@@ -236,15 +237,16 @@ def test_learning_rate_warms_up_and_ends_near_zero() -> None:
 
 
 def test_settings_survive_json_and_refuse_what_cannot_be() -> None:
-    assert settings_from_dict(json.loads(json.dumps(settings_to_dict(LIGHT)))) == LIGHT
+    for named in (LIGHT, local_settings.LIGHT):
+        assert settings_from_dict(type(named), json.loads(json.dumps(settings_to_dict(named)))) == named
     changes = ({"dropout": 1.0}, {"n_points": 510}, {"n_centres_1": 500}, {"learning_rate": float("nan")}, {"widths_1": (8,)})
     for change in (*changes, {"learning_rate": float("inf")}, {"crop_centre_m": (float("nan"), 0.0, 0.0)}):
         with pytest.raises(SettingsError, match=next(iter(change))):
             replace(LIGHT, **change)
     with pytest.raises(SettingsError, match="momentum"):
-        settings_from_dict(settings_to_dict(LIGHT) | {"momentum": 0.9})
+        settings_from_dict(RankerSettings, settings_to_dict(LIGHT) | {"momentum": 0.9})
     with pytest.raises(SettingsError, match="n_epochs: '3', must be int"):
-        settings_from_dict(settings_to_dict(LIGHT) | {"n_epochs": "3"})
+        settings_from_dict(RankerSettings, settings_to_dict(LIGHT) | {"n_epochs": "3"})
     assert issubclass(SettingsError, RankerError)
 
 
