@@ -35,6 +35,9 @@ from tables.poses import inverse, rotation_angle_rad
 NEAR_PHASES = ("place", "above5", "above15", "back15")
 N_NEAR_VALUES = 3 + len(NEAR_PHASES)
 
+Gaps = dict[
+    str, tuple[Float[np.ndarray, "c n"], Float[np.ndarray, "c n"]]
+]  # by phase: signed distances to the hand's body and to its fingers
 Axes = list[Float[np.ndarray, "c n"]]  # x, y and z of n points in c frames: numpy is several times slower along a last axis of 3
 
 
@@ -75,8 +78,9 @@ def hand_view(
     for phase in ("pick", "place"):
         columns |= weight_geometry(phase, hands[phase], mean_inhand_m)
     columns |= low_columns(hands, jaw_m[grasp], points.table_m)
-    gaps = {phase: _hand_gaps(_into(hands[phase], points.obstacle_m), jaw_m[grasp]) for phase in PHASES if phase != "pick"}
-    gaps["pick"] = tuple(gap[grasp] for gap in _hand_gaps(_into(T_base_grasp[first], points.obstacle_m), jaw_m))
+    gaps: Gaps = {phase: _hand_gaps(_into(hands[phase], points.obstacle_m), jaw_m[grasp]) for phase in PHASES if phase != "pick"}
+    to_body, to_fingers = _hand_gaps(_into(T_base_grasp[first], points.obstacle_m), jaw_m)
+    gaps["pick"] = to_body[grasp], to_fingers[grasp]
     columns |= _obstacle_columns(points.obstacle_m, hands, gaps)
     near_m, near_types = _nearest(points, hands, gaps, jaw_m[grasp], settings)
     return HandView(
@@ -206,10 +210,11 @@ def _object_columns(points: _ThinnedPoints, T_base_object: Float[np.ndarray, "4 
     T_to_target = T_base_target @ inverse(T_base_object)
     # A frame in which the object stands still while the world moves: its points at the target are those that `inverse` brings there.
     moved = _into(inverse(T_to_target), points.object_m)
-    for when, (x, y, z) in (("initial", [points.object_m[None, :, k] for k in range(3)]), ("moved", moved)):
+    initial = [points.object_m[None, :, k] for k in range(3)]
+    for when, (x, y, z) in (("initial", initial), ("moved", moved)):
         across2 = np.square(x - x.mean(axis=1, keepdims=True)) + np.square(y - y.mean(axis=1, keepdims=True))
-        values = (z.max(axis=1) - points.table_m, z.mean(axis=1) - points.table_m, np.sqrt(across2.max(axis=1)))
-        for name, value in zip(("height_m", "mean_height_m", "spread_m"), values, strict=True):
+        told = (z.max(axis=1) - points.table_m, z.mean(axis=1) - points.table_m, np.sqrt(across2.max(axis=1)))
+        for name, value in zip(("height_m", "mean_height_m", "spread_m"), told, strict=True):
             columns[f"{when}_{name}"] = np.broadcast_to(value, len(T_base_target))
     columns["turn_rad"] = rotation_angle_rad(T_base_object[:3, :3], T_base_target[:, :3, :3])
     columns["tilt_rad"] = np.arctan2(np.hypot(T_to_target[:, 0, 2], T_to_target[:, 1, 2]), T_to_target[:, 2, 2])
@@ -225,7 +230,7 @@ def _object_columns(points: _ThinnedPoints, T_base_object: Float[np.ndarray, "4 
 def _obstacle_columns(
     obstacle_m: Float32[np.ndarray, "n 3"],
     hands: dict[str, Float[np.ndarray, "c 4 4"]],
-    gaps: dict[str, tuple[Float[np.ndarray, "c n"], ...]],
+    gaps: Gaps,
 ) -> Columns:
     columns: Columns = {}
     for phase, T in hands.items():
@@ -244,7 +249,7 @@ def _obstacle_columns(
 def _nearest(
     points: _ThinnedPoints,
     hands: dict[str, Float[np.ndarray, "c 4 4"]],
-    obstacle_gaps: dict[str, tuple[Float[np.ndarray, "c n"], ...]],
+    obstacle_gaps: Gaps,
     jaw_m: Float[np.ndarray, "c"],
     settings: LocalSettings,
 ) -> tuple[Float32[np.ndarray, "c m 7"], Int[np.ndarray, "c m"]]:

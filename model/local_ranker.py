@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,7 +15,7 @@ from torch.nn import functional
 from model.features import FEATURES, POSE_FEATURES, TURNING
 from model.hand_view import NEAR_PHASES
 from model.inputs import ENVIRONMENT, OBSTACLE
-from model.local_release import LocalInput, LocalRelease
+from model.local_release import LocalInput
 from model.local_settings import LocalSettings
 from model.pointnet2 import PointwiseLayers
 from model.ranker import Prediction, initialise
@@ -57,8 +58,8 @@ class LocalRanker(nn.Module):
     def n_members(self) -> int:
         return self.settings.n_members
 
-    def fit(self, release: LocalRelease) -> None:
-        """What is taken from the training candidates before the first step; it is stored with the weights."""
+    def fit(self, release: Any) -> None:
+        """What is taken from the training candidates, a LocalRelease, before the first step; it is stored with the weights."""
         self.encoding.fit(release.features[:, self.read])
 
     def forward(self, x: LocalInput) -> Prediction:
@@ -157,7 +158,7 @@ class Members(nn.Module):
         each = x * self.scale_in
         if self.body is not None:
             each = functional.dropout(self.body(each), dropout, self.training)
-        hidden = functional.relu(self.hidden(each * self.scale_out)).unflatten(-1, (2, self.head_width))
+        hidden = functional.relu(self.hidden(each * self.scale_out)).view(self.n_members, len(x), 2, self.head_width)
         weight = self.heads.weight.view(2, self.n_members, self.head_width)
         bias = self.heads.bias.view(2, self.n_members)
         return torch.einsum("mchw,hmw->hmc", hidden, weight) + bias[..., None]
@@ -181,9 +182,10 @@ class GroupAttention(nn.Module):
         place = torch.arange(len(group), device=x.device) - (sizes.cumsum(0) - sizes)[group]
         padded = x.new_zeros(n_groups, int(sizes.max()), x.shape[-1]).index_put((group, place), self.norm(x))
         is_there = torch.arange(padded.shape[1], device=x.device) < sizes[:, None]
-        q, k, v = self.query_key_value(padded).unflatten(-1, (3, self.n_heads, -1)).permute(2, 0, 3, 1, 4)
+        q, k, v = self.query_key_value(padded).view(*padded.shape[:2], 3, self.n_heads, -1).permute(2, 0, 3, 1, 4)
         seen = functional.scaled_dot_product_attention(q, k, v, attn_mask=is_there[:, None, None])
-        return x + self.out(seen.transpose(1, 2).flatten(-2))[group, place]
+        added: torch.Tensor = self.out(seen.transpose(1, 2).flatten(-2))[group, place]
+        return x + added
 
 
 def _up_in_hand(features: Float[torch.Tensor, "c f"], pose: str) -> Float[torch.Tensor, "c 3"]:
