@@ -28,7 +28,8 @@ def solvability_section(
         seed: of the resampling.
         scheme: whose splits they are; the paper's rows stand below ours for its own only.
     """
-    rows, metrics = [], {}
+    rows: list[list[object]] = []
+    metrics: dict[str, float] = {}
     for task in Task:
         for policy, candidates in frames.items():
             test, validation = _groups(candidates, task, "test"), _groups(candidates, task, "validation")

@@ -29,7 +29,10 @@ def test_variants_are_compared_on_validation_over_their_seeds(release_tables: di
 
 def test_variants_that_differ_have_no_letter_in_common(release_tables: dict[str, pa.Table], predictions: pa.Table) -> None:
     report = ablation_report(release_tables, predictions, tier="pilot", seed=42)
-    rows = {cells[1].strip(): cells for cells in (line.split("|") for line in report.markdown.splitlines() if " ± " in line)}
+    rows = {
+        cells[1].strip(): cells
+        for cells in (line.split("|") for line in report.markdown.splitlines() if line.startswith("|") and "±" in line)
+    }
     letters = {name: set(cells[8].strip()) for name, cells in rows.items()}  # of fixed S1
     assert "a" in letters["Full hierarchical model"]
     assert not letters["Full hierarchical model"] & letters["Without object-relative pose"]
