@@ -34,6 +34,7 @@ from assets_def.ranker_assets import predictions_step, ranker_step
 from assets_def.release_assets import release_step, release_steps
 from assets_def.report_assets import profile_step, report_steps
 from assets_def.resources import Benchmark
+from assets_def.site_assets import site_step
 from assets_def.stages import stage_assets
 from assets_def.steps import Step
 from assets_def.trees_assets import trees_step
@@ -95,7 +96,7 @@ def _steps(tier: str, until: str) -> Iterator[tuple[Step, str, str]]:
     yield attempts_step, tier, attempts_step.name
     yield release_step, tier, "release with attempts"
     yield from ((ranker_step, str(key), f"ranker {key}") for key in rankers_of_tier(tier))
-    yield from ((step, tier, step.name) for step in (predictions_step, trees_step, audits_step, *report_steps))
+    yield from ((step, tier, step.name) for step in (predictions_step, trees_step, audits_step, *report_steps, site_step))
 
 
 def _build_shards(tier: str, benchmark: Benchmark) -> None:

@@ -2,8 +2,8 @@
 
 `python -m reports.site RELEASE [--reports DIR] [--films DIR] [--out DIR]`
 
-Read are the release, whole or light, the reports that `python -m reports.all` left, and films that `python -m pipelines.regenerate` wrote as
-`<candidate id>.gif`, `.png` and `.mcap`. Pages need no server, no build and nothing from elsewhere.
+Read are the release, whole or light, the reports that `python -m reports.all` left, and films that `python -m pipelines.regenerate` wrote
+as `<candidate id>.gif`, `.png` and `.mcap`. Pages need no server, no build and nothing from elsewhere.
 """
 
 from __future__ import annotations

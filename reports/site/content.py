@@ -49,14 +49,16 @@ def ladder(metrics: Mapping[str, float], split: str, task: str) -> list[Rung]:
 
 
 def objects(release: Release) -> pl.DataFrame:
-    """One row an object: size, mass, parts, resting poses, pool grasps, and how often a candidate of it succeeds."""
+    """One row an object: size, mass, parts, resting poses, pool grasps, and how often a candidate of it succeeds, as far as tables say."""
     counts = {
         name: frame_of(release.table(name), ["object_id"]).group_by("object_id").agg(pl.len().alias(name))
         for name in ("object_parts", "stable_poses", "grasp_pool")
+        if name in release.manifest.tables
     }
     frame = frame_of(release.table("objects"))
-    for own in counts.values():
-        frame = frame.join(own, on="object_id", how="left")
+    for name in ("object_parts", "stable_poses", "grasp_pool"):
+        known = name in counts
+        frame = frame.join(counts[name], on="object_id", how="left") if known else frame.with_columns(pl.lit(None, pl.UInt32).alias(name))
     labels = _labelled(release).group_by("object_id").agg(_COUNTS)
     return frame.join(labels, on="object_id", how="left").sort("object_id")
 

@@ -158,9 +158,7 @@ class Site:
                 *(f"{1e3 * row[f'size_{axis}_m']:.0f}" for axis in "xyz"),
                 f"{1e3 * row['mass_kg']:.0f}",
                 f"{row['friction']:.2f}",
-                row["object_parts"],
-                row["stable_poses"],
-                row["grasp_pool"],
+                *(MISSING if row[name] is None else row[name] for name in ("object_parts", "stable_poses", "grasp_pool")),
                 *_rate(row),
             ]
             for row in objects(self.release).iter_rows(named=True)

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import argparse
 import json
+import math
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
 from objects.build import build_object_models
 from objects.catalogue import catalogue_order, load_catalogue
 from pipelines.codecs import known_in, rows_by_scene
-from pipelines.proofs.regenerate import main, regenerate
+from pipelines.proofs.regenerate import main, make_again, regenerate
 from pipelines.proofs.repeats import Repeat, attempt_rows
+from pipelines.proofs.shown import ShownError, check_released, recorded, show
 from pipelines.recipe import load_recipe
 from pipelines.running.data_root import DataRoot
+from pipelines.running.join import join_candidates
 from pipelines.running.shard_runner import ShardInputs, StageReport, run_stage
 from pipelines.scenes.allocation import scene_allocation
 from pipelines.stages import STAGES
 from tables import schemas as s
 from tables.identity import IdentityError, parse_candidate_id
 from tables.schemas import OBJECT_TABLES
-from tables.store import read_table
+from tables.store import read_table, write_parquet
 from tables.vocabulary import Perturbation
 from tests.pipelines.proofs.golden_rows import GOLDEN, golden_rows, stale_versions
 
@@ -131,3 +136,41 @@ def test_ids_that_do_not_exist_are_refused(capsys: pytest.CaptureFixture[str]) -
         regenerate("pilot-0001", DataRoot(Path("nowhere")))
     assert main(["full-9999"]) == 1
     assert "must be in [0, 1235)" in capsys.readouterr().err
+
+
+def test_a_label_is_shown_as_it_was_made_or_not_at_all(
+    tmp_path: Path, inputs: ShardInputs, built: tuple[DataRoot, dict[str, str]], recipe_path: Path
+) -> None:
+    shard = built[0].read_shard(SHARD, [s.CANDIDATE_PAIRS, s.PLANNING_LABELS, s.EXECUTION_LABELS, s.PLANS])
+    planned = shard["plans"]["candidate_id"].to_pylist()[0]
+    rejected = next(row["candidate_id"] for row in shard["planning_labels"].to_pylist() if not row["y_plan"])
+    candidates = join_candidates(shard["candidate_pairs"], shard["planning_labels"], shard["execution_labels"])
+    _write_release(tmp_path / "release", candidates, inputs.recipe.hash_of())
+    for name, n_moments in ((planned, 20), (rejected, 1)):
+        made = make_again(name, recipe_path, dict(inputs.object_models))
+        outputs = {"mcap": tmp_path / f"{name}.mcap", "filmstrip": None, "gif": None}
+        chosen = argparse.Namespace(name=name, release=tmp_path / "release", **outputs)
+        assert show(chosen, made.recipe, made.object_model, made.rows)
+        assert (tmp_path / f"{name}.mcap").stat().st_size > 10_000
+        assert len(recorded(name, made.recipe, made.object_model, made.rows).moments) >= n_moments
+    made = make_again(planned, recipe_path, dict(inputs.object_models))
+    (label,) = made.rows["execution_labels"]
+    label["final_x_m"] = math.nextafter(label["final_x_m"], 9.0)
+    with pytest.raises(ShownError, match="final_x_m"):
+        recorded(planned, made.recipe, made.object_model, made.rows)
+    chosen.mcap, chosen.name = tmp_path / "other.mcap", planned
+    with pytest.raises(ShownError, match=r"1 of .* columns differ"):
+        show(chosen, made.recipe, made.object_model, made.rows)
+    assert not (tmp_path / "other.mcap").exists()
+    _write_release(tmp_path / "other", candidates, "0" * 64)
+    with pytest.raises(ShownError, match="of recipe 000000000000"):
+        check_released(tmp_path / "other", planned, made.recipe, made.rows)
+    with pytest.raises(ShownError, match="no release"):
+        check_released(tmp_path / "nowhere", planned, made.recipe, made.rows)
+
+
+def _write_release(directory: Path, candidates: pa.Table, recipe_hash: str) -> None:
+    """As much of a release as the comparison reads."""
+    write_parquet(s.CANDIDATES, candidates, directory / "candidates" / "split=test" / "candidates.parquet")
+    manifest = {"release_hash": "h" * 64, "version": "0.1.0", "tier": "mini", "provenance": {"recipe_hash": recipe_hash}}
+    (directory / "manifest.json").write_text(json.dumps(manifest))

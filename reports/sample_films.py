@@ -1,0 +1,108 @@
+"""Films and traces of a release: some candidates of every outcome and category, each run again as its label was made.
+
+`python -m reports.sample_films RELEASE [--each 2] [--out DIR]`
+
+Written are `<candidate id>.gif`, `.png` and `.mcap`; the site shows them. About ten seconds of a core a film; what is there stays.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from pipelines.codecs import Row
+from pipelines.labels.planning import motion_of
+from pipelines.pictures.filmstrip import film, filmstrip
+from pipelines.pictures.recording import Recording, record_execution, record_rejection
+from pipelines.pictures.trace import trace
+from pipelines.recipe import Recipe
+from reports.report import ReportError
+from reports.sources import Sources
+from splits.release_reader import Release
+from tables.errors import PlaceBenchError
+from tables.identity import order_key
+from tables.store import write_bytes_atomically
+
+N_FILMS_EACH = 2
+
+
+def chosen_candidates(release: Release, seed: int, n_each: int) -> list[str]:
+    """Candidates of every outcome in every category, where there are any, the first by the hash of their ids."""
+    frame = release.candidates.with_columns(pl.coalesce("exec_status", "plan_status").alias("outcome"))
+    groups = frame.group_by("outcome", "category").agg("candidate_id").sort("outcome", "category")
+    return sorted(
+        name
+        for names in groups["candidate_id"].to_list()
+        for name in sorted(names, key=lambda name: order_key(seed, "sample_films", name))[:n_each]
+    )
+
+
+def recorded(release: Release, candidate_id: str, recipe: Recipe) -> Recording:
+    """A candidate of a release, run again from its stored plan, or its rejection.
+
+    Raises:
+        ReportError: the run ended otherwise than its row says, or an executed candidate has no plan.
+    """
+    values, candidate = release.values, release.candidate(candidate_id)
+    stored, plan = values.labels(candidate_id), values.plan(candidate_id)
+    object_model = values.object_model_of(candidate)
+    if not stored["y_plan"]:
+        return record_rejection(object_model, candidate, recipe.planning.release_height_m, stored)
+    if plan is None:
+        raise ReportError(f"{candidate_id}: is planned, but has no row in plans")
+    recording = record_execution(object_model, candidate, motion_of(candidate, plan, recipe.planning), recipe.execution_setup, stored)
+    others = [name for name, value in stored.items() if recording.labels[name] != value]
+    if others:
+        raise ReportError(f"{candidate_id}: {others[0]} is {stored[others[0]]!r}, came out {recording.labels[others[0]]!r} when run again")
+    return recording
+
+
+def write_films(sources: Sources, out: Path, n_each: int = N_FILMS_EACH, log: Callable[[str], Any] = print) -> list[Path]:
+    """Films of the chosen candidates in a folder; returns the paths of all, those that were there too.
+
+    Raises:
+        ReportError: this code has another recipe than the release, or a label does not come out again.
+        ReleaseError: a light release without plans or points.
+    """
+    release, recipe = sources.release, sources.recipe()
+    identity = {"recipe_hash": recipe.hash_of(), "release_hash": release.manifest.release_hash, "release_version": release.manifest.version}
+    points, paths = release.table("scene_points"), []
+    for name in chosen_candidates(release, sources.seed, n_each):
+        own = [out / f"{name}.{kind}" for kind in ("png", "gif", "mcap")]
+        paths += own
+        if all(path.exists() for path in own):
+            continue
+        recording = recorded(release, name, recipe)
+        rows: list[Row] = pl.DataFrame(points).filter(pl.col("scene_id") == recording.candidate.scene.scene_id).to_dicts()
+        for path, content in zip(own, (filmstrip(recording), film(recording), trace(recording, rows, identity)), strict=True):
+            write_bytes_atomically(path, content)
+        log(recording.verdict)
+    return paths
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line: 0, or 1 with one line where there is no release or no film can be made of it."""
+    about, _, more = (__doc__ or "").partition("\n")
+    parser = argparse.ArgumentParser(prog="python -m reports.sample_films", description=about, epilog=more.rpartition("\n\n")[2])
+    parser.add_argument("release", type=Path, help="folder of a release")
+    parser.add_argument("--each", type=int, default=N_FILMS_EACH, metavar="N", help="films of an outcome and category (2)")
+    parser.add_argument("--out", type=Path, help="folder for the films (films/ in reports/out/TIER)")
+    chosen = parser.parse_args(arguments)
+    try:
+        release = Release.open(chosen.release)
+        out = chosen.out or Path("reports/out") / release.manifest.tier / "films"
+        paths = write_films(Sources(release, chosen.release), out, chosen.each)
+    except (PlaceBenchError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(f"{len(paths) // 3} candidates in {out}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

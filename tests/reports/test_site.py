@@ -1,0 +1,195 @@
+"""The site in a real browser: it opens from a folder without errors, fetches nothing, its links resolve, filters filter and tables sort."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pytest
+
+from reports.kinds import KINDS
+from reports.site.__main__ import main
+from reports.site.content import MAX_CANDIDATES, browsed, browser_data
+from reports.site.rendering import markdown_html
+from reports.sources import Sources
+from splits.release import write_release
+from splits.release_reader import Release
+from tests.model.synthetic_release import TOLERANCES
+from tests.splits.damage import PROVENANCE
+
+
+class _Links(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found += [value for name, value in attrs if name in ("href", "src") and value]
+
+
+@pytest.fixture(scope="module")
+def release(release_tables: dict[str, pa.Table], tmp_path_factory: pytest.TempPathFactory) -> Release:
+    directory = tmp_path_factory.mktemp("release")
+    write_release(release_tables, directory / "full", "full", "0.1.0", PROVENANCE, TOLERANCES)
+    return Release.open(directory / "full")
+
+
+@pytest.fixture(scope="module")
+def site(release: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A site with one report and films of two candidates; a file of an unknown candidate lies among them."""
+    reports, out = tmp_path_factory.mktemp("reports"), tmp_path_factory.mktemp("site")
+    KINDS["success_at_k"].make(Sources(release, reports / "nothing")).write(reports)
+    (reports / "films").mkdir()
+    for name in (*release.candidates["candidate_id"][:2], "full-9999-t0-g00"):
+        (reports / "films" / f"{name}.mcap").write_bytes(b"a trace")
+    assert main([str(release.directory), "--reports", str(reports), "--out", str(out)]) == 0
+    return out
+
+
+def test_every_link_resolves_and_nothing_is_from_elsewhere(site: Path) -> None:
+    pages = sorted(site.rglob("*.html"))
+    assert {page.relative_to(site).as_posix() for page in pages} >= {
+        "index.html",
+        "candidates.html",
+        "card.html",
+        "reports/success_at_k.html",
+    }
+    for page in pages:
+        links = _Links()
+        links.feed(page.read_text(encoding="utf-8"))
+        for link in links.found:
+            if link.startswith("data:,"):
+                continue
+            path, _, anchor = link.partition("#")
+            assert not re.match(r"[a-z]+:|//", path), f"{page.name}: {link} is from elsewhere"
+            assert not path or (page.parent / path).is_file(), f"{page.name}: {link} leads nowhere"
+            if anchor and not path:
+                assert f'id="{anchor}"' in page.read_text(encoding="utf-8")
+    assert "@import" not in (site / "style.css").read_text()
+    assert "url(" not in (site / "style.css").read_text()
+
+
+def test_the_ladder_shows_the_numbers_of_the_report(site: Path, release: Release) -> None:
+    report = KINDS["success_at_k"].make(Sources(release, site / "nothing"))
+    low, value, high = (100 * report.metrics[f"test.joint.ik_only.s1{end}"] for end in ("_low", "", "_high"))
+    index = (site / "index.html").read_text(encoding="utf-8")
+    assert f"{value:.1f} <small>[{low:.1f}, {high:.1f}]</small>" in index
+    assert "No ranker was scored" in index
+
+
+def test_a_sample_is_by_hash_and_keeps_what_was_filmed(release: Release, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert release.candidates.height <= MAX_CANDIDATES
+    monkeypatch.setattr("reports.site.content.MAX_CANDIDATES", 50)
+    last = release.candidates["candidate_id"][-1]
+    sample = browsed(release, 42, frozenset([last]))
+    assert sample.height == 50
+    assert last in set(sample["candidate_id"])
+    assert set(browsed(release, 43, frozenset())["candidate_id"]) != set(browsed(release, 42, frozenset())["candidate_id"])
+
+
+def test_browser_data_decodes_to_the_labels(release: Release) -> None:
+    frame = browsed(release, 42, frozenset())
+    data = browser_data(frame, {})
+    statuses = [None if k is None else data["words"]["exec_status"][k] for k in data["columns"]["exec_status"]]
+    assert statuses == frame["exec_status"].to_list()
+
+
+def test_markdown_cannot_bring_html_or_dead_links() -> None:
+    html = markdown_html("---\na: b\n---\n# T <b>\n\n<script>x</script>\n\n[there](a.html) [gone](b.html)\n\n![p](no.png)\n", ("a.html",))
+    assert "<script>" not in html
+    assert "a: b" not in html
+    assert '<a href="a.html">there</a> gone' in html
+    assert "no picture was made" in html
+
+
+def test_a_folder_of_something_else_is_not_taken(release: Release, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    assert main([str(release.directory), "--reports", str(tmp_path / "none"), "--out", str(tmp_path)]) == 1
+    assert "must be empty or a site" in capsys.readouterr().err
+    assert (tmp_path / "mine.txt").exists()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Headless Chromium as the system has it."""
+    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+    binary, driver = shutil.which("chromium") or shutil.which("google-chrome"), shutil.which("chromedriver")
+    if binary is None or driver is None:
+        pytest.skip("no chromium with chromedriver on the path: apt-get install chromium chromium-driver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = binary
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu"):
+        options.add_argument(argument)
+    window = webdriver.Chrome(options, webdriver.ChromeService(driver))
+    window.set_page_load_timeout(120)
+    yield window
+    window.quit()
+
+
+def _found(browser: Any) -> int:
+    return int(browser.find_element("id", "found").text.split()[0].replace(",", ""))
+
+
+def test_no_page_has_an_error_or_a_sideways_scroll_on_a_phone(site: Path, browser: Any) -> None:
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True})
+    for page in sorted(site.rglob("*.html")):
+        browser.get(page.as_uri())
+        assert browser.get_log("browser") == []
+        width = browser.execute_script("return document.documentElement.scrollWidth")
+        assert width <= 390, f"{page.name} is {width} px wide on a phone of 390"
+        broken = "return [...document.images].filter(i => i.loading !== 'lazy' && i.complete && !i.naturalWidth).length"
+        assert browser.execute_script(broken) == 0
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_dark_is_dark(site: Path, browser: Any) -> None:
+    colours = []
+    for scheme in ("light", "dark"):
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": scheme}]})
+        browser.get((site / "index.html").as_uri())
+        colours.append(browser.execute_script("return getComputedStyle(document.body).backgroundColor"))
+    assert colours == ["rgb(255, 255, 255)", "rgb(20, 24, 28)"]
+
+
+def test_the_filter_filters(site: Path, browser: Any, release: Release) -> None:
+    frame = release.candidates
+    browser.get((site / "candidates.html").as_uri())
+    assert _found(browser) == frame.height
+    status = frame["exec_status"].drop_nulls()[0]
+    choose = (
+        "const field = document.querySelector(`[name=${arguments[0]}]`);"
+        "field.value = arguments[1]; field.dispatchEvent(new Event('input', {bubbles: true}))"
+    )
+    browser.execute_script(choose, "exec_status", status)
+    assert _found(browser) == (frame["exec_status"] == status).sum()
+    browser.execute_script(choose, "n_obstacles", "1")
+    assert _found(browser) == ((frame["exec_status"] == status) & (frame["n_obstacles"] == 1)).sum()
+    cells = browser.execute_script("return [...document.querySelectorAll('#browser tbody tr')].map(r => r.cells[5].textContent)")
+    assert set(cells) <= {status}
+    browser.find_element("css selector", "#filters button").click()
+    browser.find_element("name", "film").click()
+    assert _found(browser) == 2
+    links = browser.execute_script("return [...document.querySelectorAll('#browser tbody a')].map(a => a.getAttribute('href'))")
+    assert len(links) == 2
+    assert all((site / link).is_file() for link in links)
+    assert browser.get_log("browser") == []
+
+
+def test_tables_sort_by_keyboard_and_an_id_gives_its_command(site: Path, browser: Any) -> None:
+    browser.get((site / "scenes.html").as_uri())
+    button = browser.find_elements("css selector", "th button")[4]
+    column = "return [...document.querySelectorAll('tbody tr')].map(r => parseInt(r.cells[4].textContent))"
+    for order in (1, -1):
+        button.send_keys("\ue007")  # Enter
+        values = browser.execute_script(column)
+        assert values == sorted(values)[::order]
+    browser.get((site / "candidates.html").as_uri())
+    first = browser.find_element("css selector", "#browser button.id")
+    first.send_keys("\ue007")
+    assert f"pipelines.regenerate {first.text} " in browser.find_element("id", "command").text
