@@ -40,7 +40,7 @@ def test_every_gate_blocks() -> None:
 
 
 def test_partitions_are_few_enough_for_staleness_tracking() -> None:
-    assert len(shard_partitions.get_partition_keys()) == 73 < 100
+    assert len(shard_partitions.get_partition_keys()) == 66 < 100
     assert tier_partitions.get_partition_keys() == ["mini", "pilot", "full"]
     assert set(shards_of_tier("pilot")) < set(shard_partitions.get_partition_keys())
 
@@ -49,7 +49,7 @@ def test_ranker_keys_round_trip() -> None:
     for key in rankers_of_tier("full"):
         assert parse_ranker_key(str(key)) == key
         assert str(key) in ranker_partitions.get_partition_keys()
-    assert len(rankers_of_tier("full")) == 12
+    assert len(rankers_of_tier("full")) == 18
 
 
 if __name__ == "__main__":
