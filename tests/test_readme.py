@@ -24,8 +24,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("readme")
     loose = write_synthetic_release(folder / "loose", n_scenes=6, seed=1)
     tables = {schema.name: read_table(schema, loose / f"{schema.name}.parquet") for schema in RELEASE_SCHEMAS}
-    # Its scenes are the first of `full`; the README's folder is the one that `make demo` writes.
-    write_release(tables, folder / "data" / "release" / "mini", "pilot", "0.1.0", PROVENANCE, TOLERANCES)
+    # Its scenes are the first of `full`; the README's folders are the one in the repository and the one that `make demo` writes.
+    for name in ("full", "mini"):
+        write_release(tables, folder / "data" / "release" / name, "pilot", "0.1.0", PROVENANCE, TOLERANCES)
     return folder
 
 
@@ -55,7 +56,7 @@ def test_the_first_query_counts_every_candidate(folder: Path, monkeypatch: pytes
     scope: dict[str, object] = {}
     exec(compile(QUERIES[0], "README.md", "exec"), scope)
     counted = scope["candidates"].group_by(scope["outcome"].alias("outcome")).len().collect()  # type: ignore[attr-defined]
-    assert counted["len"].sum() == pl.read_parquet("data/release/mini/candidates").height
+    assert counted["len"].sum() == pl.read_parquet("data/release/full/candidates").height
     assert counted["outcome"].null_count() == 0
 
 
