@@ -40,7 +40,7 @@ def test_every_gate_blocks() -> None:
 
 
 def test_partitions_are_few_enough_for_staleness_tracking() -> None:
-    assert len(shard_partitions.get_partition_keys()) == 73 < 100
+    assert len(shard_partitions.get_partition_keys()) == 66 < 100
     assert tier_partitions.get_partition_keys() == ["mini", "pilot", "full"]
     assert set(shards_of_tier("pilot")) < set(shard_partitions.get_partition_keys())
 
