@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -12,9 +13,9 @@ import pytest
 
 from model.settings import SCHEME_OF_PREDICTIONS
 from reports import ablation, success_at_k
-from reports.ablation import VARIANTS
-from reports.all import main, render_all
+from reports.all import main
 from reports.kinds import KINDS
+from reports.report import ReportError
 from reports.sources import BESIDE, Sources
 from reports.success_at_k import success_at_k_report
 from splits.manifest import read_manifest
@@ -174,54 +175,49 @@ def test_under_a_scheme_only_what_a_split_decides_is_made(
 def test_predictions_of_another_scheme_are_refused_by_every_report_alike(
     trained: str, asked: str, data: Path, tmp_path: Path, capsys
 ) -> None:
-    folder, release = under(trained, data, tmp_path / "about"), str(data / "release" / "full")
-    assert main([release, "--split", asked, "--predictions", str(folder), "--out", str(tmp_path / "out")]) == 1
-    lines = {line.partition(":")[0]: line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()}
+    folder, release = under(trained, data, tmp_path / "about"), data / "release" / "full"
+    sources = Sources(Release.open(release), folder, scheme=SplitScheme(asked))
     for name, file in (("success_at_k", "predictions"), ("ablation", "predictions"), ("trees_probe", "tree_predictions")):
-        path = folder / f"{file}.parquet"
-        says = f"{path}: of rankers that were trained under split {trained!r}, must be {asked!r}, the split asked for"
-        assert lines[name] == f"FAILED, ReportError: {says}"
-    assert (tmp_path / "out" / "profile.md").exists()
-    path = folder / "predictions.parquet"
+        says = f"{folder / file}.parquet: of rankers that were trained under split {trained!r}, must be {asked!r}, the split asked for"
+        with pytest.raises(ReportError, match=f"^{re.escape(says)}$"):
+            KINDS[name].make(sources)
     for command in (success_at_k.main, ablation.main):
-        assert command([release, "--split", asked, "--predictions", str(path)]) == 1
-        assert (
-            capsys.readouterr().err
-            == f"error: {path}: of rankers that were trained under split {trained!r}, must be {asked!r}, the split asked for\n"
-        )
+        path = str(folder / "predictions.parquet")
+        assert command([str(release), "--split", asked, "--predictions", path]) == 1
+        says = f"of rankers that were trained under split {trained!r}, must be {asked!r}, the split asked for"
+        assert capsys.readouterr().err == f"error: {path}: {says}\n"
 
 
-def test_a_part_that_a_small_tier_lacks_fails_alone(data: Path, tmp_path: Path, capsys) -> None:
-    folder, sources = under("layout", data, tmp_path / "about"), Sources(Release.open(data / "release" / "full"), tmp_path / "about")
+def test_a_part_of_a_scheme_that_a_small_tier_lacks_is_named(data: Path, tmp_path: Path) -> None:
+    sources = Sources(Release.open(data / "release" / "full"), under("layout", data, tmp_path), scheme=SplitScheme.LAYOUT)
     rows = [row | {"split_layout": "train"} for row in sources.table("splits").to_pylist()]
     sources.release._tables["splits"] = table_from_rows(schemas.SPLITS, rows)
-    rendered = render_all(Sources(sources.release, folder, scheme=SplitScheme.LAYOUT), tmp_path / "out")
-    assert (rendered.made, rendered.failed) == (("profile",), ("success_at_k", "ablation", "trees_probe"))
-    assert "splits: 0 scenes in validation of scheme layout, must be at least 1: take a larger tier" in capsys.readouterr().out
+    for name in ("success_at_k", "ablation", "trees_probe"):
+        with pytest.raises(
+            ReportError, match=r"splits: 0 scenes in (test|validation) of scheme layout, must be at least 1: take a larger tier"
+        ):
+            KINDS[name].make(sources)
 
 
-def test_rankers_and_tasks_that_are_not_there_are_named(data: Path, tmp_path: Path, capsys) -> None:
-    folder = Path(shutil.copytree(data / "predictions" / "full", tmp_path / "about"))
-    sources = Sources(Release.open(data / "release" / "full"), folder)
+def test_rankers_and_tasks_that_are_not_there_are_named(data: Path, tmp_path: Path) -> None:
+    release = Release.open(data / "release" / "full")
+    whole, some = Sources(release, data / "predictions" / "full"), Sources(release, tmp_path)
 
     def keep(name: str, is_kept: Callable[[dict], bool]) -> None:
-        rows = [row for row in sources.table(name).to_pylist() if is_kept(row)]
-        write_table(BESIDE[name], table_from_rows(BESIDE[name], rows), folder / f"{name}.parquet", of="full")
+        rows = [row for row in whole.table(name).to_pylist() if is_kept(row)]
+        write_table(BESIDE[name], table_from_rows(BESIDE[name], rows), some.path(name), of="full")
 
     keep("predictions", lambda row: row["variant"] == "no_object_relative" or (row["variant"], row["seed"]) == ("direct", 42))
     keep("tree_predictions", lambda row: row["variant"] == "trees")
-    assert main([str(data / "release" / "full"), "--predictions", str(folder), "--out", str(tmp_path / "out")]) == 0
-    lines = {line.partition(":")[0]: line for line in capsys.readouterr().out.splitlines()}
-    assert lines["success_at_k"].endswith(
-        f" s; {folder / 'predictions.parquet'} is there without full; {folder / 'decision_times.parquet'} is there without task fixed"
-    )
-    assert lines["ablation"].endswith(
-        f" s; {folder / 'predictions.parquet'} is there without direct of seed 43, no_target_hypothesis, full"
-    )
-    assert lines["trees_probe"] == f"trees_probe: left out, {folder / 'tree_predictions.parquet'} is there without trees_poses"
-    whole = Sources(Release.open(data / "release" / "full"), data / "predictions" / "full")
-    assert whole.missing("predictions", tuple(VARIANTS)) == ""
-    assert whole.missing("decision_times", ("joint",)) == ""
+    keep("decision_times", lambda row: True)
+    without = f"{some.path('predictions')} is there without"
+    times = f"{some.path('decision_times')} is there without task fixed"
+    assert KINDS["success_at_k"].goes_without(some) == [f"{without} full", times]
+    assert KINDS["success_at_k"].goes_without(whole) == [f"{whole.path('decision_times')} is there without task fixed"]
+    assert KINDS["ablation"].goes_without(some) == [f"{without} direct of seed 43, no_target_hypothesis, full"]
+    assert KINDS["trees_probe"].lacks(some) == [f"{some.path('tree_predictions')} is there without trees_poses"]
+    assert not KINDS["ablation"].lacks(some)
+    assert not any((KINDS["ablation"].goes_without(whole), KINDS["ablation"].lacks(whole), KINDS["trees_probe"].lacks(whole)))
 
 
 def test_no_release_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
