@@ -13,7 +13,7 @@ export PYTHONUNBUFFERED := 1
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo dataset ui reports site light replicates points plans rejections test soak check bench reproduce validity knobs clean
+.PHONY: demo dataset ui reports films site light replicates points plans rejections test soak check bench reproduce validity knobs clean
 
 demo: $(INSTALLED)  ## the whole benchmark on tier mini, from objects to reports
 	$(PY) -m assets_def.build mini --workers $(WORKERS)
@@ -26,6 +26,9 @@ ui: $(INSTALLED)  ## the Dagster UI on this checkout
 
 reports: $(INSTALLED)  ## every report from a release and the tables about it, nothing labelled or trained (TIER, or RELEASE=folder; SPLIT=scheme)
 	$(PY) -m reports.all $(RELEASE) $(if $(SPLIT),--split $(SPLIT))
+
+films: $(INSTALLED)  ## two films and traces of every outcome and category, for the site (about ten seconds of a core each; TIER, or RELEASE=folder)
+	$(PY) -m reports.sample_films $(RELEASE)
 
 site: $(INSTALLED)  ## the results of a release as static pages: reports/out/$(TIER)/site/index.html, from its reports and films (TIER, or RELEASE=folder)
 	$(PY) -m reports.site $(RELEASE)

@@ -17,7 +17,7 @@ from assets_def.ranker_assets import ranker_assets
 from assets_def.release_assets import release_assets
 from assets_def.report_assets import report_assets
 from assets_def.resources import Benchmark
-from assets_def.site_assets import site
+from assets_def.site_assets import sample_films, site
 from assets_def.stages import stage_assets
 from assets_def.trees_assets import trees_assets
 
@@ -25,7 +25,17 @@ from assets_def.trees_assets import trees_assets
 definitions = Definitions(
     assets=[
         owned(assets)
-        for assets in (object_assets, *stage_assets, *release_assets, *ranker_assets, *trees_assets, *proof_assets, *report_assets, site)
+        for assets in (
+            object_assets,
+            *stage_assets,
+            *release_assets,
+            *ranker_assets,
+            *trees_assets,
+            *proof_assets,
+            *report_assets,
+            sample_films,
+            site,
+        )
     ],
     jobs=jobs,
     resources={"benchmark": Benchmark()},

@@ -1,5 +1,6 @@
-"""The results of a tier as static pages, one asset; what stands in them, and how they look, is in reports/site."""
+"""Films of a tier, and its results as static pages; which films, what stands in the pages, and how they look is in reports/."""
 
+import shutil
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,15 @@ from assets_def.products import FilesProduct
 from assets_def.report_assets import REPORTS
 from assets_def.resources import Benchmark
 from assets_def.steps import Step
+from reports.sample_films import write_films
 from reports.site.__main__ import write_site
 from reports.site.pages import FILM_KINDS, Site
+from reports.sources import Sources
 from splits.release_reader import Release
 from tables.files import file_sha256
 
 _LOOKS = (f"reports/site/{path.name}" for path in (Path(__file__).parent.parent / "reports" / "site").glob("*.[hcj]*") if path.is_file())
+FILMS_CODE_VERSION = source_version("pipelines/pictures", "reports/sample_films.py")
 SITE_CODE_VERSION = source_version("reports", "splits/markdown.py", *sorted(_LOOKS))
 
 
@@ -38,8 +42,38 @@ def _product(benchmark: Benchmark, tier: str) -> FilesProduct:
 
 
 @asset(
+    name="sample_films",
+    deps=["release"],
+    description="Films and traces of two candidates of every outcome and category, each run again and compared with its label; not part of"
+    " `make dataset`.",
+    group_name="reports",
+    code_version=FILMS_CODE_VERSION,
+    partitions_def=tier_partitions,
+    kinds={"gif", "mcap"},
+)
+def sample_films(context: AssetExecutionContext, benchmark: Benchmark) -> MaterializeResult[None]:
+    tier = context.partition_key
+    directory = benchmark.report_dir(tier)
+    made_from = {
+        "code": FILMS_CODE_VERSION,
+        "recipe": benchmark.recipe_of_tier(tier).hash_of(),
+        **release_hashes(benchmark, tier),
+    }
+
+    def make() -> tuple[list[Path], dict[str, Any]]:
+        release = Release.open(benchmark.root.release(tier))
+        sources = Sources(release, benchmark.root.tier_table(tier, "attempts").parent, Path(benchmark.recipe_path))
+        shutil.rmtree(directory / "films", ignore_errors=True)  # of another release or other code
+        return write_films(sources, directory / "films", log=context.log.info), {}
+
+    record, is_reused = FilesProduct(directory / "sample_films.made_from.json", made_from).publish(make)
+    shown = {"path": MetadataValue.path(str(directory / "films")), "films": len(record.files) // 3, "reused": is_reused}
+    return MaterializeResult(metadata=shown, data_version=DataVersion(record.content_hash))
+
+
+@asset(
     name="site",
-    deps=["release", *(kind.asset for kind in REPORTS)],
+    deps=["release", "sample_films", *(kind.asset for kind in REPORTS)],
     description="The results as static pages that open from a folder: ladder, reports, objects, scenes, films, card, candidates to filter.",
     group_name="reports",
     code_version=SITE_CODE_VERSION,
