@@ -49,7 +49,7 @@ def test_ranker_keys_round_trip() -> None:
     for key in rankers_of_tier("full"):
         assert parse_ranker_key(str(key)) == key
         assert str(key) in ranker_partitions.get_partition_keys()
-    assert len(rankers_of_tier("full")) == 12
+    assert len(rankers_of_tier("full")) == 18
 
 
 if __name__ == "__main__":
