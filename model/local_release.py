@@ -1,4 +1,4 @@
-"""A release as our networks in the hand's frame read it: the view of every candidate, gathered once; at the full setting 1.1 kB each."""
+"""A release as our networks in the hand's frame read it: the view of every candidate, gathered once; at the full setting 1.0 kB each."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@ from dagster import DagsterInstance, ExecuteInProcessResult, materialize
 from assets_def.partitions import rankers_of_tier
 from assets_def.ranker_assets import ranker
 from assets_def.resources import Benchmark
-from model import settings
-from model.settings import Variant
+from model import networks
+from model.settings import LIGHT, Variant
 from tests.model.synthetic_release import write_synthetic_release
 from tests.model.test_input_record import let_through
 
@@ -20,7 +20,7 @@ from tests.model.test_input_record import let_through
 @pytest.fixture
 def data_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A synthetic release where the asset looks for one, and one epoch of training instead of 24."""
-    monkeypatch.setitem(settings._NAMED, "light", replace(settings.LIGHT, n_epochs=1))
+    monkeypatch.setitem(networks._OF_THE_PAPER, "light", replace(LIGHT, n_epochs=1))
     write_synthetic_release(Benchmark(data_dir=str(tmp_path)).root.release("mini"), n_scenes=5, seed=3, n_points=160)
     return tmp_path
 
