@@ -78,7 +78,7 @@ def _rejection_tiles(recording: Recording, size_px: tuple[int, int]) -> list[Til
     grasp = recording.candidate.grasp
     (start,) = _frames(recording, recording.moments, size_px)
     jaw_m = open_jaw_m(recording.object_model.grasp(grasp.grasp_id).jaw_width_m)
-    view = _view(recording, size_px)
+    view = picture_view(size_px, recording.candidate.target.T_base_target[:2, 3])
     with Renderer() as renderer:
         _add_scene(renderer, recording)
         for T_tcp_box, size_m in zip(*gripper_boxes(jaw_m), strict=True):
