@@ -12,6 +12,8 @@ export PYTHONUNBUFFERED := 1
 # One thread a process: units of work are the parallelism.
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
+# The same kernels on every processor, so the same bits (tables/__init__.py).
+export OPENBLAS_CORETYPE := Haswell
 
 .PHONY: demo dataset ui reports films site light replicates points plans rejections test soak check bench reproduce validity knobs clean
 

@@ -67,7 +67,7 @@ def sample_films(context: AssetExecutionContext, benchmark: Benchmark) -> Materi
         return write_films(sources, directory / "films", log=context.log.info), {}
 
     record, is_reused = FilesProduct(directory / "sample_films.made_from.json", made_from).publish(make)
-    shown = {"path": MetadataValue.path(str(directory / "films")), "films": len(record.files) // 3, "reused": is_reused}
+    shown: dict[str, Any] = {"path": MetadataValue.path(str(directory / "films")), "films": len(record.files) // 3, "reused": is_reused}
     return MaterializeResult(metadata=shown, data_version=DataVersion(record.content_hash))
 
 
@@ -89,7 +89,11 @@ def site(context: AssetExecutionContext, benchmark: Benchmark) -> MaterializeRes
         return write_site(pages, directory / "site"), {}
 
     record, is_reused = _product(benchmark, tier).publish(make)
-    shown = {"path": MetadataValue.path(str(directory / "site" / "index.html")), "files": len(record.files), "reused": is_reused}
+    shown: dict[str, Any] = {
+        "path": MetadataValue.path(str(directory / "site" / "index.html")),
+        "files": len(record.files),
+        "reused": is_reused,
+    }
     return MaterializeResult(metadata=shown, data_version=DataVersion(record.content_hash))
 
 

@@ -117,11 +117,11 @@ def _one_an_object(scenes: Mapping[str, Scene]) -> list[Scene]:
     return list(first.values())
 
 
-def _scene_tile(scene: Scene, object_models: Mapping[str, ObjectModel]) -> _Tile:
+def _scene_tile(scene: Scene, object_models: Mapping[str, ObjectModel]) -> Tile:
     return Tile(render_scene(object_models[scene.object_id], scene, _TILE_PX), f"{scene.scene_id} {scene.object_id}")
 
 
-def _grasp_tile(scene: Scene, object_models: Mapping[str, ObjectModel], rows: Sequence[Row]) -> _Tile:
+def _grasp_tile(scene: Scene, object_models: Mapping[str, ObjectModel], rows: Sequence[Row]) -> Tile:
     """The object in close-up with grippers at the lifted grasps, spread over the pool."""
     lifted = [row for row in sorted(rows, key=lambda row: row["grasp_id"]) if row["lift_status"] == "lifted"]
     drawn = lifted[:: max(1, len(lifted) // _N_GRASPS_DRAWN)][:_N_GRASPS_DRAWN]
@@ -131,7 +131,7 @@ def _grasp_tile(scene: Scene, object_models: Mapping[str, ObjectModel], rows: Se
     return Tile(picture, f"{scene.object_id}: {len(drawn)} of {len(lifted)} lifted grasps")
 
 
-def _title_tile(scenes: Mapping[str, Scene], object_models: Mapping[str, ObjectModel], grasps: Mapping[str, list[Row]]) -> _Tile:
+def _title_tile(scenes: Mapping[str, Scene], object_models: Mapping[str, ObjectModel], grasps: Mapping[str, list[Row]]) -> Tile:
     """One scene with obstacles, its targets as ghosts and some grasps: what a ranker is asked about, in one picture."""
     scene = next((scenes[name] for name in sorted(scenes) if len(scenes[name].obstacles) == 2), scenes[min(scenes)])
     lifted = [row for row in sorted(grasps[scene.scene_id], key=lambda row: row["grasp_id"]) if row["lift_status"] == "lifted"]

@@ -1,0 +1,1 @@
+import tables  # noqa: F401 - before numpy, see there

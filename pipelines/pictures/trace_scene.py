@@ -129,7 +129,7 @@ def pose_message(T: Float[np.ndarray, "4 4"]) -> Pose:
 
 
 def _entity(name: str, frame: str, **primitives: list[CubePrimitive] | list[TriangleListPrimitive]) -> SceneEntity:
-    return SceneEntity(id=name, frame_id=frame, frame_locked=True, **primitives)  # type: ignore[arg-type]
+    return SceneEntity(id=name, frame_id=frame, frame_locked=True, **primitives)
 
 
 def _cube(T: Float[np.ndarray, "4 4"], size_m: Float[np.ndarray, "3"], rgb: Rgb, opacity: float = 1.0) -> CubePrimitive:
@@ -167,7 +167,7 @@ def _robot_shapes() -> Iterator[tuple[Shape, str]]:
 
 
 def _hull(shape: Shape) -> TriangleMesh:
-    hull = trimesh.PointCloud(shape.vertices_m).convex_hull
+    hull = trimesh.PointCloud(shape.vertices_m).convex_hull  # type: ignore[no-untyped-call]
     return TriangleMesh(np.asarray(hull.vertices), np.asarray(hull.faces, dtype=np.int64))
 
 

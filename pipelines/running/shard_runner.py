@@ -15,6 +15,7 @@ from pipelines import stages
 from pipelines.codecs import known_in, rows_by_scene
 from pipelines.recipe import Recipe
 from pipelines.running.data_root import DataRoot
+from pipelines.running.kernels import check_kernels
 from pipelines.running.lock import locked
 from pipelines.running.unfinished import SceneCollector, SceneParts
 from pipelines.running.workers import run_units
@@ -98,7 +99,9 @@ def run_stage(
         StageError: at least one scene failed. Finished scenes stay on disk, and the next run makes only the missing ones.
         StoreError: an upstream table is not published.
         LockError: somebody else builds this shard; names the owner.
+        KernelsError: OpenBLAS runs kernels of another processor.
     """
+    check_kernels()
     with locked(root.shard_lock(shard), f"shard {shard}"):
         return _run_stage(stage, shard, root, inputs, n_workers, on_progress, log)
 

@@ -100,7 +100,7 @@ def edit_released(asset: str, change: Callable[[Rows], None], benchmark: Benchma
     paths = [benchmark.root.release(TIER) / file for file in files_of_table(asset)]
     path, rows = next((path, rows) for path in paths if (rows := read_parquet(table_of(asset), path).to_pylist()))
     change(rows)
-    write_parquet(table_of(asset), table_from_rows(table_of(asset), rows), path, described=False)
+    write_parquet(table_of(asset), table_from_rows(table_of(asset), rows), path, described=True)
 
 
 @pytest.fixture

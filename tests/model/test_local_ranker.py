@@ -159,7 +159,7 @@ def test_it_learns_what_follows_from_geometry_with_fewer_scenes_than_the_paper_s
     """On scenes it never saw: a random choice succeeds in about 35 % of the covered fixed-target groups."""
     release = write_synthetic_release(tmp_path / "release", n_scenes=25, seed=11, n_points=200)
     train(release, Variant.LOCAL, 42, replace(LIGHT, n_epochs=8, dropout=0.1), tmp_path / "ranker")
-    of_candidate = {row["candidate_id"]: row["score"] for row in score(release, tmp_path / "ranker").to_pylist()}
+    of_candidate = {row["candidate_id"]: row["log_p_plan"] + row["log_p_exec"] for row in score(release, tmp_path / "ranker").to_pylist()}
     inputs = read_inputs(InputReader(release), [f"full-{k:04d}" for k in range(4, 25, 5)])
     success = read_labels(release, inputs.candidate_ids).success
     ours, n_covered = success_at_1(np.array([of_candidate[name] for name in inputs.candidate_ids]), success, inputs.candidate_group)

@@ -56,7 +56,7 @@ DAMAGES: list[tuple[str, Damage, str, bool]] = [
     ("no folder", shutil.rmtree, "no such folder", True),
     ("no manifest", lambda d: (d / MANIFEST).unlink(), "no complete release", True),
     ("an edited manifest", edited("licence", to="MIT"), r"manifest\.json: its fields have SHA-256", True),
-    ("newer data", signed("version", to="1.0.0"), "version 1.0.0 is of a newer major version", True),
+    ("newer data", signed("version", to="2.0.0"), "version 2.0.0 is of a newer major version", True),
     ("a newer schema", signed("schema_version", to="3.0.0"), "schema_version 3.0.0 is of a newer major version", True),
     ("no table", lambda d: (d / "grasps.parquet").unlink(), r"grasps\.parquet: missing", True),
     ("no card", lambda d: (d / CARD).unlink(), r"README\.md: missing", True),

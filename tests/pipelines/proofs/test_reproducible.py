@@ -171,6 +171,6 @@ def test_a_label_is_shown_as_it_was_made_or_not_at_all(
 
 def _write_release(directory: Path, candidates: pa.Table, recipe_hash: str) -> None:
     """As much of a release as the comparison reads."""
-    write_parquet(s.CANDIDATES, candidates, directory / "candidates" / "split=test" / "candidates.parquet")
+    write_parquet(s.CANDIDATES, candidates, directory / "candidates" / "split=test" / "candidates.parquet", described=True)
     manifest = {"release_hash": "h" * 64, "version": "0.1.0", "tier": "mini", "provenance": {"recipe_hash": recipe_hash}}
     (directory / "manifest.json").write_text(json.dumps(manifest))
