@@ -53,7 +53,7 @@ def test_it_loads_where_people_load_datasets(hub_datasets: Any) -> None:
     rows = pl.scan_parquet(FULL / "candidates").group_by("split").len().collect()
     assert {name: part.num_rows for name, part in found.items()} == dict(rows.iter_rows())
     assert isinstance(found["test"][0]["plan_status"], str)
-    assert hub_datasets.load_dataset(str(FULL), "grasps")["train"].num_rows == read_manifest(FULL).tables["grasps"].rows
+    assert hub_datasets.load_dataset(str(FULL), "grasps")["all_splits"].num_rows == read_manifest(FULL).tables["grasps"].rows
 
 
 def test_its_croissant_names_every_file() -> None:
