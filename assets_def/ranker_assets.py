@@ -1,6 +1,7 @@
 """Trained rankers, one a tier, variant and seed, and what they say of every candidate; the work is model's."""
 
 import json
+import shutil
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
@@ -32,9 +33,10 @@ from assets_def.partitions import (
     tiers_to_rankers,
 )
 from assets_def.products import FilesProduct, TableProduct
+from assets_def.ranker_training import SHIPPED, folder_name, setting_of
 from assets_def.resources import Benchmark
 from assets_def.steps import Step
-from model.checkpoint import identity_of, input_errors
+from model.checkpoint import identity_of, input_errors, is_checkpoint_of, load_checkpoint
 from model.inputs import contract_hash
 from model.networks import settings_named
 from model.scoring import decision_times, score
@@ -45,7 +47,6 @@ from tables.schemas import PREDICTIONS, TIMINGS
 from tables.store import StoreError, file_sha256, join_tables, table_from_rows
 
 MODEL_CODE_VERSION = "1"
-SETTING_OF_TIER = {"mini": "light", "pilot": "light", "full": "full"}
 
 
 @multi_asset(
@@ -91,17 +92,23 @@ def _ranker_checks(benchmark: Benchmark, partition: str) -> Iterator[AssetCheckR
 
 
 def _train(benchmark: Benchmark, key: RankerKey) -> tuple[list[Path], dict[str, Any]]:
-    settings = settings_named(SETTING_OF_TIER[key.tier], key.variant)
-    out_dir = _checkpoint(benchmark, key)
-    result = train(benchmark.root.release(key.tier), key.variant, key.seed, settings, out_dir, resume=True)
+    """Train a ranker, or take over the one that is shipped if it is of this very training."""
+    release_dir, out_dir = benchmark.root.release(key.tier), _checkpoint(benchmark, key)
+    settings = settings_named(setting_of(key.tier, key.variant), key.variant)
+    shipped = SHIPPED / key.tier / folder_name(key)
+    is_shipped = is_checkpoint_of(shipped, identity_of(release_dir, key.variant, key.seed, settings))
+    if is_shipped:
+        shutil.copytree(shipped, out_dir, dirs_exist_ok=True)
+    else:
+        train(release_dir, key.variant, key.seed, settings, out_dir, resume=True)
+    ranker, _, progress = load_checkpoint(out_dir)
     facts = {
         "settings": settings.name,
-        "best_epoch": result.best_epoch,
-        "selected_by": result.selected_by,
-        "parameters": result.n_parameters,
-        "train_candidates": result.n_train_candidates,
-        "validation_candidates": result.n_validation_candidates,
-        "history": list(result.history),
+        "shipped": is_shipped,
+        "best_epoch": progress.best_epoch,
+        "selected_by": progress.selected_by,
+        "parameters": sum(parameter.numel() for parameter in ranker.parameters()),
+        "history": list(progress.history),
     }
     return [path for path in out_dir.iterdir() if path.is_file() and not path.name.startswith(".")], facts
 
@@ -109,7 +116,7 @@ def _train(benchmark: Benchmark, key: RankerKey) -> tuple[list[Path], dict[str, 
 def _ranker_products(benchmark: Benchmark, partition: str) -> tuple[FilesProduct]:
     """A checkpoint and what decides a training: its identity but for the manifest, which also names what no training reads."""
     key = parse_ranker_key(partition)
-    settings = settings_named(SETTING_OF_TIER[key.tier], key.variant)
+    settings = settings_named(setting_of(key.tier, key.variant), key.variant)
     identity = identity_of(benchmark.root.release(key.tier), key.variant, key.seed, settings)
     made_from = {
         "code": MODEL_CODE_VERSION,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +121,26 @@ def load_checkpoint(directory: Path) -> tuple[Network, TrainingIdentity, Progres
     if described.get(_OWN_SHA256, found) != found:
         raise CheckpointError(f"{path}: SHA-256 {found[:12]}, it says {str(described[_OWN_SHA256])[:12]}; it was changed after training")
     return ranker.eval(), identity, progress
+
+
+def is_checkpoint_of(directory: Path, identity: TrainingIdentity) -> bool:
+    """Whether a folder holds the checkpoint of a training, whole; the texts of the release may have been rendered again since.
+
+    Raises:
+        CheckpointError: there is one, and it is damaged or of another contract or format.
+    """
+    if not (directory / _DESCRIPTION).exists():
+        return False
+    _, theirs, _ = load_checkpoint(directory)
+    return replace(theirs, manifest_sha256=identity.manifest_sha256) == identity
+
+
+def weights_sha256(directory: Path) -> str:
+    """SHA-256 of the weights of a checkpoint; raises CheckpointError where there are none."""
+    path = directory / _WEIGHTS
+    if not path.exists():
+        raise CheckpointError(_missing(path))
+    return file_sha256(path)
 
 
 def input_errors(directory: Path) -> list[str]:

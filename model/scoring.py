@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,15 +48,19 @@ class DecisionTime:
     forward_s: float
 
 
-def score(release_dir: Path, checkpoint_dir: Path, device: str = "auto") -> pa.Table:
-    """Rows of `predictions` for all candidates of a release, in every split.
+def score(release_dir: Path, checkpoint_dir: Path, device: str = "auto", splits: Sequence[str] | None = None) -> pa.Table:
+    """Rows of `predictions` for the candidates of a release.
+
+    Args:
+        splits: of the scheme that the ranker was trained under, whose candidates are scored; all without it.
 
     Raises:
         RankerError: the release lacks an input or holds an impossible value, the checkpoint is not one, or a score is not finite.
     """
     ranker, identity, _ = load_checkpoint(checkpoint_dir)
-    reader = InputReader(release_dir)
-    inputs = read_inputs(reader)
+    reader = InputReader(release_dir, identity.split_scheme)
+    scenes = None if splits is None else [scene_id for split in splits for scene_id in scenes_of_split(reader, split)]
+    inputs = read_inputs(reader, scenes)
     published_sha256(release_dir, reader.selected)
     if not inputs.candidate_ids:
         raise InputError(f"{release_dir}/candidates.parquet: no candidates to score, must have at least 1")

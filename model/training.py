@@ -125,7 +125,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--variant", default=Variant.FULL.value, help=f"one of {', '.join(v.value for v in Variant)}")
     parser.add_argument("--seed", type=int, default=42)
     parser.add_argument("--split", default=SplitScheme.SCENE.value, help=f"one of {', '.join(s.value for s in SplitScheme)}")
-    parser.add_argument("--setting", default="full", help="light (mini, CPU) or full (GPU)")
+    parser.add_argument(
+        "--setting", default="full", help="light (mini), cpu (the paper's on two cores) or full (the paper's on a GPU; ours)"
+    )
     parser.add_argument("--epochs", type=int, help="number of epochs, instead of that of the setting")
     parser.add_argument("--out", type=Path, required=True, help="checkpoint folder to write")
     parser.add_argument("--device", default="auto", help="auto, cpu or cuda")
