@@ -49,6 +49,9 @@ class TrainingSettings:
     weight_exec: float = 1.0
     weight_rank: float = 0.1
 
+    # How many of the training scenes are seen: the first in the order of their hash, so that more hold the fewer; 0: all.
+    n_train_scenes: int = 0
+
     # Optimisation.
     n_epochs: int = 40
     scenes_per_batch: int = 4  # whole scenes, about 32 clouds and 800 candidates, so that joint groups are complete
@@ -65,7 +68,7 @@ class TrainingSettings:
             if not all(math.isfinite(number) for number in numbers if isinstance(number, float)):
                 raise SettingsError(f"{field}: {value}, must be finite")
         check_positive(self, ("n_epochs", "scenes_per_batch", "learning_rate", "max_gradient_norm"))
-        for field in ("weight_plan", "weight_exec", "weight_rank", "weight_decay", "n_cpu_threads"):
+        for field in ("weight_plan", "weight_exec", "weight_rank", "weight_decay", "n_cpu_threads", "n_train_scenes"):
             if not getattr(self, field) >= 0:
                 raise SettingsError(f"{field}: {getattr(self, field)}, must be at least 0")
         for field, low, high in (("dropout", 0.0, 1.0), ("warmup_share", 0.0, 1.0)):
@@ -183,6 +186,10 @@ def check_seed(seed: int) -> None:
         raise SettingsError(f"seed: {seed!r}, must be a whole number in [{-(2**31)}, {2**31 - 1}]")
 
 
+# Younger than the format of checkpoints: one that does not say was trained so.
+_YOUNGER: Mapping[str, Any] = {"n_train_scenes": 0}
+
+
 def settings_to_dict(settings: TrainingSettings) -> dict[str, Any]:
     """Plain values that JSON holds."""
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(settings).items()}
@@ -190,7 +197,7 @@ def settings_to_dict(settings: TrainingSettings) -> dict[str, Any]:
 
 def settings_from_dict(kind: type[S], values: Mapping[str, Any]) -> S:
     """Inverse of `settings_to_dict`; raises SettingsError on an unknown or missing name or a value of another type."""
-    kinds = typing.get_type_hints(kind)
+    kinds, values = typing.get_type_hints(kind), _YOUNGER | dict(values)
     if set(values) != set(kinds):
         raise SettingsError(f"settings {sorted(set(values) ^ set(kinds))} are unknown or missing")
     return kind(**{name: _typed(name, of, values[name]) for name, of in kinds.items()})

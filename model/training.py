@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from model.labels import Labels, read_labels
 from model.networks import encode, settings_named
 from model.optimisation import Examples, HistoryRow, Run
 from model.settings import TrainingSettings, Variant, check_seed, scheme_named, variant_named
+from tables.identity import order_key
 from tables.vocabulary import Split, SplitScheme
 
 
@@ -76,7 +77,11 @@ def train(
     chosen_device = device_named(device)
     check_seed(seed)
     reader = InputReader(release_dir, scheme)
-    read = [_read_split(reader, split) for split in (Split.TRAIN, Split.VALIDATION)]
+    scenes = {
+        Split.TRAIN: _training_scenes(reader, settings.n_train_scenes),
+        Split.VALIDATION: scenes_of_split(reader, Split.VALIDATION.value),
+    }
+    read = [_read_split(reader, split, ids) for split, ids in scenes.items()]
     identity = identity_of(release_dir, variant, seed, settings, scheme)
     check_checkpoint_writable(out_dir)
     training, validation = (_examples(inputs, labels, settings, variant) for inputs, labels in read)
@@ -106,9 +111,17 @@ def train(
     )
 
 
-def _read_split(reader: InputReader, split: Split) -> tuple[ReleaseInputs, Labels]:
+def _training_scenes(reader: InputReader, n_scenes: int) -> tuple[str, ...]:
+    """Ids of the scenes of the training split, or of some of them; raises TrainingError where there are not so many."""
+    scenes = scenes_of_split(reader, Split.TRAIN.value)
+    if n_scenes > len(scenes):
+        raise TrainingError(f"n_train_scenes: {n_scenes}, must be at most {len(scenes)}, the scenes of the training split")
+    return tuple(sorted(sorted(scenes, key=lambda scene_id: order_key(0, "train-scenes", scene_id))[: n_scenes or None]))
+
+
+def _read_split(reader: InputReader, split: Split, scene_ids: Sequence[str]) -> tuple[ReleaseInputs, Labels]:
     """Inputs and labels of the scenes of a split; raises TrainingError where none has a candidate."""
-    inputs = read_inputs(reader, scenes_of_split(reader, split.value))
+    inputs = read_inputs(reader, scene_ids)
     if not inputs.candidate_ids:
         of = "" if reader.scheme is SplitScheme.SCENE else f" of scheme {reader.scheme.value}"
         raise TrainingError(f"{reader.release_dir}: the {split.value} split{of} has 0 candidates, must have at least 1")
@@ -129,6 +142,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--setting", default="full", help="light (mini), cpu (the paper's on two cores) or full (the paper's on a GPU; ours)"
     )
     parser.add_argument("--epochs", type=int, help="number of epochs, instead of that of the setting")
+    parser.add_argument("--train-scenes", type=int, default=0, metavar="N", help="the first N training scenes in hash order (all)")
     parser.add_argument("--out", type=Path, required=True, help="checkpoint folder to write")
     parser.add_argument("--device", default="auto", help="auto, cpu or cuda")
     parser.add_argument("--resume", action="store_true", help="continue an interrupted training in --out")
@@ -136,6 +150,7 @@ def main(arguments: list[str] | None = None) -> int:
     start_s = time.perf_counter()
     try:
         settings = settings_named(options.setting, variant_named(options.variant))
+        settings = replace(settings, n_train_scenes=options.train_scenes)
         if options.epochs is not None:
             settings = replace(settings, n_epochs=options.epochs)
         keywords = {"scheme": options.split, "device": options.device, "resume": options.resume}

@@ -21,12 +21,12 @@ import torch
 from model import local_settings
 from model.batches import scene_batches
 from model.errors import CheckpointError, RankerError, SettingsError, TrainingError
-from model.inputs import InputReader, read_inputs
+from model.inputs import InputReader, read_inputs, scenes_of_split
 from model.labels import read_labels
 from model.optimisation import HistoryRow, learning_rate_at, quality_of
 from model.scoring import score, success_at_1
 from model.settings import LIGHT, RankerSettings, Variant, settings_from_dict, settings_to_dict
-from model.training import main, train
+from model.training import _training_scenes, main, train
 from tables.schemas import CANDIDATES
 from tables.store import read_table, write_table
 from tests.model.conftest import tiny_of
@@ -144,6 +144,23 @@ def test_test_scenes_do_not_reach_a_training(small_release: Path, tiny: RankerSe
     assert (tmp_path / "with" / "ranker.safetensors").read_bytes() == (tmp_path / "without" / "ranker.safetensors").read_bytes()
 
 
+def test_a_training_of_some_scenes_is_one_on_a_release_that_has_no_others(
+    small_release: Path, tiny: RankerSettings, tmp_path: Path
+) -> None:
+    reader = InputReader(small_release)
+    every, two, one = (set(_training_scenes(reader, n)) for n in (0, 2, 1))
+    assert one < two < every == set(scenes_of_split(reader, "train"))
+    copy = Path(shutil.copytree(small_release, tmp_path / "release"))
+    splits = pq.read_table(copy / "splits.parquet")
+    kept = [name not in every - two for name in splits["scene_id"].to_pylist()]
+    rewrite(copy / "splits.parquet", splits.filter(pa.array(kept)))
+    train(small_release, "full", 1, replace(tiny, n_train_scenes=2), tmp_path / "some")
+    train(copy, "full", 1, tiny, tmp_path / "all")
+    assert (tmp_path / "some" / "ranker.safetensors").read_bytes() == (tmp_path / "all" / "ranker.safetensors").read_bytes()
+    with pytest.raises(TrainingError, match=rf"^n_train_scenes: 99, must be at most {len(every)}, the scenes of the training split$"):
+        train(small_release, "full", 1, replace(tiny, n_train_scenes=99), tmp_path / "none")
+
+
 def test_best_epoch_is_chosen_by_validation_s1_then_joint_s1_then_loss(small_release: Path, tiny: RankerSettings, tmp_path: Path) -> None:
     result = train(small_release, "full", 1, replace(tiny, n_epochs=6), tmp_path)
     assert result.selected_by == "validation S1"
@@ -239,6 +256,8 @@ def test_learning_rate_warms_up_and_ends_near_zero() -> None:
 def test_settings_survive_json_and_refuse_what_cannot_be() -> None:
     for named in (LIGHT, local_settings.LIGHT):
         assert settings_from_dict(type(named), json.loads(json.dumps(settings_to_dict(named)))) == named
+    older = {name: value for name, value in settings_to_dict(LIGHT).items() if name != "n_train_scenes"}
+    assert settings_from_dict(RankerSettings, older) == LIGHT, "of a checkpoint that is older than the setting"
     changes = ({"dropout": 1.0}, {"n_points": 510}, {"n_centres_1": 500}, {"learning_rate": float("nan")}, {"widths_1": (8,)})
     for change in (*changes, {"learning_rate": float("inf")}, {"crop_centre_m": (float("nan"), 0.0, 0.0)}):
         with pytest.raises(SettingsError, match=next(iter(change))):
