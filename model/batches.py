@@ -17,6 +17,7 @@ from model.losses import Supervision
 from model.ranker import ModelInput, pose9
 from model.settings import RankerSettings, TrainingSettings, Variant
 from tables.identity import rng_for
+from tables.poses import inverse
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +35,13 @@ class EncodedRelease(Grouping):
 
 def encode_release(inputs: ReleaseInputs, settings: RankerSettings, variant: Variant) -> EncodedRelease:
     """Sample and group every cloud, and write poses as 9 numbers."""
+    T_base_hand = inputs.T_base_grasp
+    if settings.is_grasp_at_place:
+        T_base_hand = inputs.T_base_target[inputs.candidate_group] @ inverse(inputs.T_grasp_object)
     return EncodedRelease(
         clouds=grouped_clouds(inputs, settings, has_target_copy=variant is not Variant.NO_TARGET_HYPOTHESIS),
         target_pose=torch.from_numpy(pose9(inputs.T_base_target)),
-        grasp_pose=torch.from_numpy(pose9(inputs.T_base_grasp)),
+        grasp_pose=torch.from_numpy(pose9(T_base_hand)),
         object_relative_pose=torch.from_numpy(pose9(inputs.T_grasp_object)),
         group_scene=inputs.group_scene,
         group_start=group_starts(inputs.candidate_group, len(inputs.group_scene)),

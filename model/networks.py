@@ -17,12 +17,14 @@ from model.settings import RankerSettings, TrainingSettings, Variant
 
 Network = Ranker | LocalRanker
 
-_OF_THE_PAPER: Mapping[str, RankerSettings] = {named.name: named for named in (settings.FULL, settings.CPU, settings.LIGHT)}
+_OF_THE_PAPER: Mapping[str, RankerSettings] = {
+    named.name: named for named in (settings.FULL, settings.CPU, settings.CPU_PLACE, settings.LIGHT)
+}
 _LOCAL: Mapping[str, LocalSettings] = {named.name: named for named in (local_settings.FULL, local_settings.LIGHT)}
 
 
 def settings_named(name: str, variant: Variant = Variant.FULL) -> TrainingSettings:
-    """`full` or `light` of the variant's network, or `cpu` of the paper's; raises SettingsError on another name."""
+    """`full` or `light` of the variant's network, or `cpu` and `cpu_place` of the paper's; raises SettingsError on another name."""
     named: Mapping[str, TrainingSettings] = _LOCAL if variant.is_local else _OF_THE_PAPER
     if name not in named:
         raise SettingsError(f"setting {name!r}, must be one of {sorted(named)}")

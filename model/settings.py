@@ -111,6 +111,8 @@ class RankerSettings(TrainingSettings):
     # Finest wave 50 cm in the workspace and 10 cm in the hand. On 36 and on 150 synthetic training scenes the validation loss was lowest
     # with 2, then 4, then 6 octaves: finer waves memorise target poses, and the layers behind resolve more than a wave.
     n_frequencies: int = 2
+    # The grasp branch reads the pose of the hand at the place, composed of the same inputs, instead of that at the grasp: not the paper's.
+    is_grasp_at_place: bool = False
 
     def __post_init__(self) -> None:
         TrainingSettings.__post_init__(self)
@@ -162,6 +164,7 @@ LIGHT = RankerSettings(
 
 # For `full` on two CPU cores: the largest network that trains in about half an hour a seed on one core, 757 scenes an epoch.
 CPU = replace(LIGHT, name="cpu", dropout=0.2, n_epochs=24, scenes_per_batch=2)
+CPU_PLACE = replace(CPU, name="cpu_place", is_grasp_at_place=True)
 
 
 def variant_named(name: str) -> Variant:
@@ -187,7 +190,7 @@ def check_seed(seed: int) -> None:
 
 
 # Younger than the format of checkpoints: one that does not say was trained so.
-_YOUNGER: Mapping[str, Any] = {"n_train_scenes": 0}
+_YOUNGER: Mapping[str, Any] = {"n_train_scenes": 0, "is_grasp_at_place": False}
 
 
 def settings_to_dict(settings: TrainingSettings) -> dict[str, Any]:
@@ -197,7 +200,8 @@ def settings_to_dict(settings: TrainingSettings) -> dict[str, Any]:
 
 def settings_from_dict(kind: type[S], values: Mapping[str, Any]) -> S:
     """Inverse of `settings_to_dict`; raises SettingsError on an unknown or missing name or a value of another type."""
-    kinds, values = typing.get_type_hints(kind), _YOUNGER | dict(values)
+    kinds = typing.get_type_hints(kind)
+    values = {name: value for name, value in _YOUNGER.items() if name in kinds} | dict(values)
     if set(values) != set(kinds):
         raise SettingsError(f"settings {sorted(set(values) ^ set(kinds))} are unknown or missing")
     return kind(**{name: _typed(name, of, values[name]) for name, of in kinds.items()})

@@ -46,6 +46,18 @@ def test_encoding_a_cloud_once_equals_encoding_it_for_every_candidate(release: E
         torch.testing.assert_close(alone.exec_logit, once.exec_logit[k : k + 1], **_FLOAT32)
 
 
+def test_the_grasp_branch_may_read_the_hand_at_the_place(inputs: ReleaseInputs, release: EncodedRelease, tiny: RankerSettings) -> None:
+    """Reference: the pose that `candidate_geometry` starts from, the object moved to its target with the hand on it."""
+    at_place = encode_release(inputs, replace(tiny, is_grasp_at_place=True), Variant.FULL)
+    k = len(inputs.candidate_ids) // 2
+    group = inputs.candidate_group[k]
+    T_base_object = inputs.clouds[inputs.group_scene[group]].T_base_object
+    T_base_hand = inputs.T_base_target[group] @ np.linalg.inv(T_base_object) @ inputs.T_base_grasp[k]
+    np.testing.assert_allclose(at_place.grasp_pose[k].numpy(), pose9(T_base_hand[None])[0], atol=1e-6)
+    assert torch.equal(at_place.object_relative_pose, release.object_relative_pose)
+    assert not torch.equal(at_place.grasp_pose, release.grasp_pose)
+
+
 def test_scene_feature_does_not_depend_on_the_order_of_points(release: EncodedRelease, tiny: RankerSettings) -> None:
     """Centres stay, the other points and every list of neighbours are shuffled."""
     backbone = Ranker(tiny, Variant.FULL, seed=0).scene.eval()
