@@ -245,7 +245,14 @@ def _print_result(tier: str, until: str, benchmark: Benchmark) -> None:
 
 def _ladder(tier: str, metrics: Path) -> Table:
     """S1 of every policy in 80 columns; the report has the rest."""
-    ladder = Table("policy", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title=f"{tier}, test: S1 in percent of covered groups")
+    ladder = Table(
+        "policy",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        show_edge=False,
+        title=f"{tier}, test: S1 in percent of covered groups",
+    )
     for task in Task:
         ladder.add_column(f"{task.value} [95 %]", justify="right")
         ladder.add_column("paper", justify="right")

@@ -84,7 +84,7 @@ def chain_figure(numbers: Mapping[str, str]) -> bytes:
         numbers: how much of it a release holds, by group.
     """
     columns = [("objects", tuple(OBJECT_TABLES)), *_groups(), ("release", ("candidates", "grasps", "splits", "... and the others"))]
-    width, height, gap = 11.0, 3.3, 0.26
+    width, height, gap = 11.0, 3.15, 0.26
     figure = canvas(width, height, "none")
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_xlim(0, width)
@@ -93,9 +93,9 @@ def chain_figure(numbers: Mapping[str, str]) -> bytes:
     box = (width - 0.16 - gap * (len(columns) - 1)) / len(columns)
     left = [0.08 + k * (box + gap) for k in range(len(columns))]
     for (name, tables), x in zip(columns, left, strict=True):
-        _box(axes, (x, 1.12, box, 2.1), name, numbers.get(name, ""), _ABOUT[name], tables)
+        _box(axes, (x, 1.12, box, 1.95), name, numbers.get(name, ""), _ABOUT[name], tables)
     for x in left[1:]:
-        _arrow(axes, (x - gap, 2.44), (x - 0.01, 2.44))
+        _arrow(axes, (x - gap, 2.3), (x - 0.01, 2.3))
     reports = ", ".join(name.replace("_", " ") for name in KINDS if name != "shard_diagnostics")
     _box(axes, (left[4], 0.08, left[5] - left[4] + box, 0.78), "rankers", "", _RANKERS)
     _box(axes, (left[2], 0.08, left[3] - left[2] + box, 0.78), "reports", "", _two_lines(f"{reports}, films, site"))
@@ -114,7 +114,7 @@ def _groups() -> list[tuple[str, tuple[str, ...]]]:
 
 
 def _two_lines(text: str) -> str:
-    cut = text.index(" ", len(text) // 2)
+    cut = text.index(", ", len(text) // 2 - 6) + 1
     return f"{text[:cut]}\n{text[cut + 1 :]}"
 
 
