@@ -248,8 +248,7 @@ def _ladder(tier: str, metrics: Path) -> Table:
     ladder = Table(
         "policy",
         box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
+        padding=0,
         show_edge=False,
         title=f"{tier}, test: S1 in percent of covered groups",
     )
