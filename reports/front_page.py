@@ -28,6 +28,8 @@ from tables.store import write_bytes_atomically
 from tables.vocabulary import Split
 
 PICTURES = Path(__file__).parent / "pictures"
+FRONT_PICTURES = ("executions", "ladder", "chain")
+FRONT_TIER = "full"  # the one whose pictures `make figures` draws
 # Two grasps of one vacuum flask for one target: what a ranker has to tell apart.
 EXECUTIONS = ("full-1137-t0-g33", "full-1137-t0-g25")
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
+from reports.front_page import FRONT_PICTURES, FRONT_TIER, PICTURES
 from reports.kinds import KINDS
 from reports.ranking import KS, TASK_TITLE
 from reports.site.content import browsed, browser_data, ladder, objects, scenes
@@ -69,12 +70,14 @@ class Site:
         files = {name: asset(name).encode() for name in ASSETS}
         pictures = {path.name: path.read_bytes() for name in texts for path in sorted(self.reports.glob(f"{name}*.png")) if path.is_file()}
         files |= {f"reports/{name}": content for name, content in pictures.items()}
+        front = self._front()
+        files |= front
         files |= {f"films/{name}.{kind}": (self.films / f"{name}.{kind}").read_bytes() for name, kinds in films.items() for kind in kinds}
         frame = browsed(self.release, int(self.release.manifest.provenance.get("recipe_seed", "42")), frozenset(films))
         data = json.dumps(browser_data(frame, films), separators=(",", ":"), sort_keys=True)
         files["candidates.js"] = f"window.CANDIDATES={data};\n".encode()
         pages = {
-            "index.html": self._index(texts, set(pictures), frame),
+            "index.html": self._index(texts, set(pictures), frame, front),
             "objects.html": self._objects(set(pictures)),
             "scenes.html": self._scenes(set(pictures)),
             "films.html": self._film_page(films, set(pictures)),
@@ -104,7 +107,13 @@ class Site:
                     found.setdefault(path.stem, []).append(kind)
         return found
 
-    def _index(self, texts: Mapping[str, str], pictures: set[str], frame: pl.DataFrame) -> str:
+    def _front(self) -> dict[str, bytes]:
+        """The pictures of the README, on the site of the release that they are of."""
+        if self.release.manifest.tier != FRONT_TIER:
+            return {}
+        return {f"pictures/{name}.png": (PICTURES / f"{name}.png").read_bytes() for name in FRONT_PICTURES}
+
+    def _index(self, texts: Mapping[str, str], pictures: set[str], frame: pl.DataFrame, front: Collection[str]) -> str:
         metrics = self._metrics()
         split = Split.TEST.value if any(name.startswith(f"{Split.TEST.value}.") for name in metrics) else "all"
         panels = [
@@ -132,6 +141,7 @@ class Site:
             ks=KS,
             has_ranker=any(".ranker." in name for name in metrics),
             pictures=pictures,
+            front=front,
             reports=[(_title(text, name), f"reports/{name}.html") for name, text in texts.items()],
             missing=[name.replace("_", " ") for name in KINDS if name not in texts],
             example=example,
