@@ -80,7 +80,7 @@ class Site:
             "index.html": self._index(texts, set(pictures), frame, front),
             "objects.html": self._objects(set(pictures)),
             "scenes.html": self._scenes(set(pictures)),
-            "films.html": self._film_page(films, set(pictures)),
+            "films.html": self._film_page(films, set(pictures), front),
             "candidates.html": self._candidates(frame),
             "card.html": self._text("Data card", "card.html", (self.release.directory / CARD).read_text(encoding="utf-8")),
             "datasheet.html": self._text("Datasheet", "datasheet.html", (self.release.directory / DATASHEET).read_text(encoding="utf-8")),
@@ -214,7 +214,7 @@ class Site:
         there = [(source, text) for source, text in shown if source.removeprefix("reports/") in pictures]
         return self._page("table.html", title, here, about=about, columns=columns, rows=rows, pictures=there)
 
-    def _film_page(self, films: Mapping[str, list[str]], pictures: set[str]) -> str:
+    def _film_page(self, films: Mapping[str, list[str]], pictures: set[str], front: Collection[str]) -> str:
         labels = self.release.candidates.filter(pl.col("candidate_id").is_in(sorted(films))).select(
             "candidate_id", "plan_status", "exec_status"
         )
@@ -233,7 +233,7 @@ class Site:
             for status in ExecStatus
             if f"gallery-{status.value}.png" in pictures
         ]
-        return self._page("films.html", "Films", "films.html", films=listed, strips=strips)
+        return self._page("films.html", "Films", "films.html", films=listed, strips=strips, front=front)
 
     def _candidates(self, frame: pl.DataFrame) -> str:
         values = {name: [str(value) for value in sorted(frame[name].drop_nulls().unique().to_list())] for name, _ in _FILTERS}
