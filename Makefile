@@ -15,7 +15,7 @@ export OPENBLAS_NUM_THREADS := 1
 # The same kernels on every processor, so the same bits (tables/__init__.py).
 export OPENBLAS_CORETYPE := Haswell
 
-.PHONY: demo dataset ui reports films site light rankers replicates points plans rejections test soak check bench reproduce validity knobs clean
+.PHONY: demo dataset ui reports figures films site light rankers replicates points plans rejections test soak check bench reproduce validity knobs clean
 
 demo: $(INSTALLED)  ## the whole benchmark on tier mini, from objects to reports
 	$(PY) -m assets_def.build mini --workers $(WORKERS)
@@ -28,6 +28,9 @@ ui: $(INSTALLED)  ## the Dagster UI on this checkout
 
 reports: $(INSTALLED)  ## every report from a release and the tables about it, nothing labelled or trained (TIER, or RELEASE=folder; SPLIT=scheme)
 	$(PY) -m reports.all $(RELEASE) $(if $(SPLIT),--split $(SPLIT))
+
+figures: $(INSTALLED)  ## the pictures of the README and of the site's first page, into reports/pictures (a minute of a core)
+	$(PY) -m reports.front_page data/release/full
 
 films: $(INSTALLED)  ## two films and traces of every outcome and category, for the site (about ten seconds of a core each; TIER, or RELEASE=folder)
 	$(PY) -m reports.sample_films $(RELEASE)

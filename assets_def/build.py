@@ -7,25 +7,27 @@ in the last five seconds, an interrupted one (Ctrl-C) only the scenes in work.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import NoReturn
 
 from dagster import (
     AssetsDefinition,
-    AssetSelection,
     DagsterError,
     DagsterExecutionInterruptedError,
     DagsterInstance,
     ExecuteInProcessResult,
-    materialize,
 )
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.markdown import Markdown
+from rich.table import Table
 
-from assets_def.definitions import definitions
+from assets_def.definitions import definitions_of
+from assets_def.jobs import job_of
 from assets_def.object_assets import are_objects_done, object_assets
 from assets_def.partitions import rankers_of_tier
 from assets_def.progress import ShardProgress
@@ -40,6 +42,8 @@ from assets_def.steps import Step
 from assets_def.trees_assets import trees_step
 from pipelines.running.shard_runner import is_published
 from pipelines.stages import STAGES
+from reports.load import Task
+from reports.standing import read_metrics, standings
 from tables.errors import PlaceBenchError
 from tables.identity import TIERS, shards_of_tier
 
@@ -109,8 +113,9 @@ def _build_shards(tier: str, benchmark: Benchmark) -> None:
             _run(shard, stage_assets, shard, benchmark)
             progress.finish_shard()
     if missing:
-        stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in progress.seconds_by_stage.items())
-        CONSOLE.print(f"{'':<36}{len(missing)} made   {time.perf_counter() - start:7.1f} s ({stages})")
+        CONSOLE.print(f"{'':<36}{f'{len(missing)} made':<12}{time.perf_counter() - start:7.1f} s")
+        for name, seconds in progress.seconds_by_stage.items():
+            CONSOLE.print(f"{f'  {name}':<48}{seconds:7.1f} s")
 
 
 def _is_complete(shard: str, benchmark: Benchmark) -> bool:
@@ -133,11 +138,12 @@ def _line(name: str) -> Iterator[list[str]]:
 
 
 def _run(name: str, assets: Sequence[AssetsDefinition], partition_key: str | None, benchmark: Benchmark) -> None:
-    result = materialize(
-        list(definitions.assets or ()),  # type: ignore[arg-type]
-        selection=AssetSelection.assets(*(key for asset in assets for key in asset.keys)),
+    keys = [key for made in assets for key in made.keys]
+    # In a named job of the graph, so that the UI lists the run under it.
+    graph = definitions_of(benchmark)
+    result = graph.resolve_job_def(job_of(graph, keys, partition_key)).execute_in_process(
+        asset_selection=keys,
         partition_key=partition_key,
-        resources={"benchmark": benchmark},
         run_config={"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}},  # failures are told below, in one line
         instance=DagsterInstance.get(),
         raise_on_error=False,
@@ -223,10 +229,35 @@ def _say_error(message: str) -> None:
 
 def _print_result(tier: str, until: str, benchmark: Benchmark) -> None:
     reports = benchmark.report_dir(tier)
-    shown = "success_at_k" if until == "reports" else "profile"
-    sections = (reports / f"{shown}.md").read_text(encoding="utf-8").split("\n## ")
-    CONSOLE.print(Markdown("\n## ".join(sections[:2])))
-    CONSOLE.print(f"release: {benchmark.root.release(tier)}\nreports: {reports}")
+    paths = {"release": benchmark.root.release(tier)}
+    if until == "reports":
+        CONSOLE.print(_ladder(tier, reports / "success_at_k.json"))
+        paths |= {
+            "ladder": reports / "success_at_k-test.png",
+            "report": reports / "success_at_k.md",
+            "site": reports / "site" / "index.html",
+        }
+    else:
+        paths |= {"report": reports / "profile.md"}
+    for name, path in paths.items():
+        CONSOLE.print(f"{name:<9}{os.path.relpath(path)}", soft_wrap=True, highlight=False)
+
+
+def _ladder(tier: str, metrics: Path) -> Table:
+    """S1 of every policy in 80 columns; the report has the rest."""
+    ladder = Table(
+        "policy",
+        box=SIMPLE_HEAD,
+        padding=0,
+        show_edge=False,
+        title=f"{tier}, test: S1 in percent of covered groups",
+    )
+    for task in Task:
+        ladder.add_column(f"{task.value} [95 %]", justify="right")
+        ladder.add_column("paper", justify="right")
+    for standing in standings(read_metrics(metrics)):
+        ladder.add_row(*standing.cells())
+    return ladder
 
 
 if __name__ == "__main__":

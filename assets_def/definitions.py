@@ -21,23 +21,26 @@ from assets_def.site_assets import sample_films, site
 from assets_def.stages import stage_assets
 from assets_def.trees_assets import trees_assets
 
-# In process: the parallelism is inside an asset, over scenes; a process a step would cost 20 s a shard.
-definitions = Definitions(
-    assets=[
-        owned(assets)
-        for assets in (
-            object_assets,
-            *stage_assets,
-            *release_assets,
-            *ranker_assets,
-            *trees_assets,
-            *proof_assets,
-            *report_assets,
-            sample_films,
-            site,
-        )
-    ],
-    jobs=jobs,
-    resources={"benchmark": Benchmark()},
-    executor=in_process_executor,
+_ASSETS = tuple(
+    owned(assets)
+    for assets in (
+        object_assets,
+        *stage_assets,
+        *release_assets,
+        *ranker_assets,
+        *trees_assets,
+        *proof_assets,
+        *report_assets,
+        sample_films,
+        site,
+    )
 )
+
+
+def definitions_of(benchmark: Benchmark) -> Definitions:
+    """The graph over the folders and the recipe of a benchmark."""
+    # In process: the parallelism is inside an asset, over scenes; a process a step would cost 20 s a shard.
+    return Definitions(assets=_ASSETS, jobs=jobs, resources={"benchmark": benchmark}, executor=in_process_executor)
+
+
+definitions = definitions_of(Benchmark())

@@ -8,11 +8,14 @@ any job. The graph has three: shards, tiers and rankers. A whole tier from the U
 
 from __future__ import annotations
 
-from dagster import AssetSelection, define_asset_job
+from collections.abc import Collection
+
+from dagster import AssetKey, AssetSelection, Definitions, define_asset_job
 
 from pipelines.stages import STAGES
 from tables.identity import shards_of_tier
 
+OBJECTS = AssetSelection.groups("objects")
 OBJECTS_AND_SHARDS = AssetSelection.groups("objects", *dict.fromkeys(stage.group for stage in STAGES))
 RELEASE = AssetSelection.groups("release")
 RANKERS = AssetSelection.assets("ranker")
@@ -25,6 +28,7 @@ _SHARDS_OF = {"mini": shards_of_tier("mini"), "pilot": shards_of_tier("pilot"), 
 _MINI = {"dagster/partition": _SHARDS_OF["mini"][0]}
 
 jobs = [
+    define_asset_job("objects", selection=OBJECTS, description="Meshes, parts, resting poses and grasp pools of the catalogue."),
     *(
         define_asset_job(
             tier,
@@ -53,3 +57,16 @@ jobs = [
         " release and its rankers; without rankers only what reads predictions fails.",
     ),
 ]
+
+
+def job_of(definitions: Definitions, keys: Collection[AssetKey], partition: str | None) -> str:
+    """Name of the first job that makes some assets: of shards that of the smallest tier with the shard.
+
+    Raises:
+        KeyError: no job makes all of them.
+    """
+    for job in jobs:
+        is_of_another_tier = job.name in _SHARDS_OF and partition not in _SHARDS_OF[job.name]
+        if not is_of_another_tier and definitions.resolve_job_def(job.name).asset_layer.executable_asset_keys >= set(keys):
+            return job.name
+    raise KeyError(f"no job makes all of {sorted(key.to_user_string() for key in keys)}")

@@ -10,8 +10,9 @@ from typing import Any
 
 import polars as pl
 import pyarrow as pa
-from dagster import MetadataValue, TableColumn, TableSchema
+from dagster import MetadataValue, TableColumn, TableColumnConstraints, TableSchema
 
+from tables.columns import Column
 from tables.columns import TableSchema as Schema
 from tables.store import Sidecar, read_table
 
@@ -23,11 +24,10 @@ def table_metadata(schema: Schema, path: Path, sidecar: Sidecar) -> dict[str, An
     """Rows, hash, columns with units and meaning, counts and rates of each status, and the first rows as Markdown."""
     frame = pl.from_arrow(read_table(schema, path))
     assert isinstance(frame, pl.DataFrame)
-    columns = [TableColumn(c.name, str(c.dtype), f"{c.meaning}{f' [{c.unit}]' if c.unit else ''}") for c in schema.columns]
     counts = {c.name: status_counts(frame, c.name) for c in schema.columns if c.name.endswith("_status")}
     return {
         "dagster/row_count": sidecar.rows,
-        "dagster/column_schema": TableSchema(columns),
+        "dagster/column_schema": TableSchema([_shown_column(column) for column in schema.columns]),
         "path": MetadataValue.path(str(path)),
         "content_hash": sidecar.content_hash,
         "bytes": path.stat().st_size,
@@ -60,6 +60,18 @@ def outcome_numbers(schema: Schema, frame: pl.DataFrame) -> dict[str, int | floa
     return numbers
 
 
+def type_in_words(column: Column) -> str:
+    """The type of a column as people say it; the Arrow type stands in the data card."""
+    if column.values:
+        return "category"
+    dtype = column.dtype
+    is_list = pa.types.is_list(dtype)
+    value = dtype.value_type if is_list or pa.types.is_dictionary(dtype) else dtype
+    tests = {"text": pa.types.is_string, "yes or no": pa.types.is_boolean, "integer": pa.types.is_integer, "number": pa.types.is_floating}
+    word = next(word for word, is_so in tests.items() if is_so(value))
+    return f"list of {word}s" if is_list else word
+
+
 def status_counts(frame: pl.DataFrame, column: str) -> dict[str, int]:
     """How often each value occurs, most frequent first; null is counted as `not run`."""
     values = frame.select(pl.col(column).cast(pl.String).fill_null("not run"))
@@ -75,6 +87,12 @@ def markdown_table(frame: pl.DataFrame) -> str:
 def inline_figure(png: bytes) -> Any:
     """A PNG shown in the UI itself."""
     return MetadataValue.md(f"![figure](data:image/png;base64,{base64.b64encode(png).decode()})")
+
+
+def _shown_column(column: Column) -> TableColumn:
+    meaning = f"{column.meaning}{f' [{column.unit}]' if column.unit else ''}"
+    may_be = [f"one of {', '.join(column.values)}"] if column.values else []
+    return TableColumn(column.name, type_in_words(column), meaning, TableColumnConstraints(nullable=column.nullable, other=may_be))
 
 
 def _counts_as_markdown(counts: Mapping[str, int]) -> str:

@@ -13,6 +13,7 @@ from assets_def.products import FilesProduct
 from assets_def.report_assets import REPORTS
 from assets_def.resources import Benchmark
 from assets_def.steps import Step
+from reports.front_page import PICTURES
 from reports.sample_films import write_films
 from reports.site.__main__ import write_site
 from reports.site.pages import FILM_KINDS, Site
@@ -37,6 +38,7 @@ def _product(benchmark: Benchmark, tier: str) -> FilesProduct:
         **release_hashes(benchmark, tier),
         **{f"report.{name}": record.content_hash for name, record in records.items() if record is not None},
         **{f"film.{path.name}": file_sha256(path) for path in films},
+        **{f"picture.{path.name}": file_sha256(path) for path in sorted(PICTURES.glob("*.png"))},
     }
     return FilesProduct(directory / "site.made_from.json", made_from)
 

@@ -23,9 +23,9 @@ from pipelines.pictures.trace import trace
 from pipelines.recipe import Recipe
 from reports.report import ReportError
 from reports.sources import Sources
+from splits.examples import chosen_by_outcome
 from splits.release_reader import Release
 from tables.errors import PlaceBenchError
-from tables.identity import order_key
 from tables.store import write_bytes_atomically
 
 N_FILMS_EACH = 2
@@ -33,13 +33,8 @@ N_FILMS_EACH = 2
 
 def chosen_candidates(release: Release, seed: int, n_each: int) -> list[str]:
     """Candidates of every outcome in every category, where there are any, the first by the hash of their ids."""
-    frame = release.candidates.with_columns(pl.coalesce("exec_status", "plan_status").alias("outcome"))
-    groups = frame.group_by("outcome", "category").agg("candidate_id").sort("outcome", "category")
-    return sorted(
-        name
-        for names in groups["candidate_id"].to_list()
-        for name in sorted(names, key=lambda name: order_key(seed, "sample_films", name))[:n_each]
-    )
+    chosen = chosen_by_outcome(release.candidates, seed, n_each, by=["category"])
+    return sorted(name for names in chosen.values() for name in names)
 
 
 def recorded(release: Release, candidate_id: str, recipe: Recipe) -> Recording:

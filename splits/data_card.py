@@ -11,6 +11,7 @@ import pyarrow as pa
 from pipelines.frames import frame_of
 from splits.citation import Citation
 from splits.confidence import confidence_section
+from splits.examples import examples_section
 from splits.hub_card import READING, front_matter
 from splits.markdown import count, percent, share, table
 from splits.scheme_section import scheme_section
@@ -118,6 +119,8 @@ def render_card(
         "## Scenes",
         _scenes(frames["scenes"]),
         f"## How to read it\n\n{READING}",
+        "## Look at a candidate",
+        examples_section(frames["candidates"], int(facts.get("recipe_seed", "42"))),
         "## How sure the labels are",
         confidence_section(frames["candidates"], frame_of(tables["attempts"]) if "attempts" in tables else None),
         "## Tables",

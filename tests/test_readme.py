@@ -9,6 +9,8 @@ from typing import Any
 import polars as pl
 import pytest
 
+from splits.citation import load_citation
+from splits.data_card import PAPER_CITATION
 from splits.release import write_release
 from tables.store import read_table
 from tests.model.synthetic_release import RELEASE_SCHEMAS, TOLERANCES, write_synthetic_release
@@ -68,3 +70,21 @@ def test_every_make_target_that_is_documented_exists() -> None:
 def test_every_module_that_is_documented_exists() -> None:
     for module in set(re.findall(r"python -m ([\w.]+)", README)):
         assert (ROOT / Path(*module.split("."))).with_suffix(".py").exists(), module
+
+
+def test_it_says_how_to_cite_as_the_card_does() -> None:
+    citation = load_citation()
+    assert citation.bibtex("full", citation.version) in README
+    assert PAPER_CITATION in README
+
+
+def test_every_picture_and_file_that_it_links_to_is_there() -> None:
+    linked = re.findall(r"\]\(([^)#:]+)\)", README)
+    assert {"reports/pictures/executions.png", "reports/pictures/ladder.png", "reports/pictures/chain.png"} <= set(linked)
+    assert [path for path in linked if not (ROOT / path).exists()] == []
+    assert [path for path in linked if path.endswith(".png") and (ROOT / path).stat().st_size > 300_000] == []
+
+
+def test_preformatted_text_fits_a_terminal_where_it_shows_one() -> None:
+    (shown,) = re.findall(r"<details>.*?```\n(.*?)```.*?</details>", README, flags=re.DOTALL)
+    assert max(map(len, shown.splitlines())) <= 80

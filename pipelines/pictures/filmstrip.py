@@ -37,7 +37,27 @@ class Frame:
 def execution_frames(recording: Recording, n_frames: int = 6, size_px: tuple[int, int] = (320, 240)) -> list[Frame]:
     """Photographs of an execution, spread evenly over time, the last is the end; the target is a green ghost."""
     picked = np.unique(np.linspace(0, len(recording.moments) - 1, n_frames).round().astype(int))
-    return _frames(recording, [recording.moments[k] for k in picked], size_px)
+    return photographs(recording, [recording.moments[k] for k in picked], size_px)
+
+
+def photographs(recording: Recording, moments: Sequence[Moment], size_px: tuple[int, int]) -> list[Frame]:
+    """Photographs of some moments of a recording; the target is a green ghost."""
+    view, frames = _view(recording, size_px), []
+    with Renderer() as renderer:
+        _add_scene(renderer, recording)
+        robot = renderer.add_robot()
+        body = renderer.add_mesh(recording.object_model.mesh, recording.candidate.scene.T_base_object, OBJECT_RGB)
+        T_base_target = recording.candidate.target.T_base_target
+        ghost = renderer.add_mesh(recording.object_model.mesh, T_base_target, GHOST_RGB)
+        for moment in moments:
+            renderer.pose_robot(robot, moment.q_rad, moment.fingers_m)
+            renderer.move(body, moment.T_base_object)
+            renderer.move(ghost, _away())
+            picture = renderer.photograph(view).rgb.astype(np.float64)
+            renderer.move(ghost, T_base_target)
+            picture += _GHOST_OPACITY * (renderer.photograph(view).rgb - picture)
+            frames.append(Frame(moment.phase, moment.time_s, shrunk(picture)))
+    return frames
 
 
 def filmstrip(recording: Recording) -> bytes:
@@ -55,7 +75,7 @@ def film(recording: Recording) -> bytes:
     wanted = np.arange(0.0, recording.moments[-1].time_s, 1.0 / _GIF_FRAMES_A_SECOND)
     times_s = np.array([moment.time_s for moment in recording.moments])
     picked = np.unique([*(int(np.abs(times_s - t).argmin()) for t in wanted), len(times_s) - 1])
-    frames = _frames(recording, [recording.moments[k] for k in picked], _GIF_PX)
+    frames = photographs(recording, [recording.moments[k] for k in picked], _GIF_PX)
     tiles = [Tile(frame.picture, f"{recording.candidate.candidate_id}  {_caption(frame)}") for frame in frames]
     tiles[-1] = Tile(frames[-1].picture, recording.verdict)
     return moving(tiles, [*np.diff(times_s[picked]).tolist(), _GIF_LAST_S])
@@ -76,7 +96,7 @@ def _caption(frame: Frame) -> str:
 def _rejection_tiles(recording: Recording, size_px: tuple[int, int]) -> list[Tile]:
     """The state after the lift, and beside it the hand at the place: boxes, because no arm was found that brings it there."""
     grasp = recording.candidate.grasp
-    (start,) = _frames(recording, recording.moments, size_px)
+    (start,) = photographs(recording, recording.moments, size_px)
     jaw_m = open_jaw_m(recording.object_model.grasp(grasp.grasp_id).jaw_width_m)
     view = picture_view(size_px, recording.candidate.target.T_base_target[:2, 3])
     with Renderer() as renderer:
@@ -87,25 +107,6 @@ def _rejection_tiles(recording: Recording, size_px: tuple[int, int]) -> list[Til
         picture = shrunk(renderer.photograph(view).rgb.astype(np.float64))
     status = recording.labels["plan_status"]
     return [Tile(start.picture, "after the lift, where planning starts"), Tile(picture, f"hand and object at the place: {status}")]
-
-
-def _frames(recording: Recording, moments: Sequence[Moment], size_px: tuple[int, int]) -> list[Frame]:
-    view, frames = _view(recording, size_px), []
-    with Renderer() as renderer:
-        _add_scene(renderer, recording)
-        robot = renderer.add_robot()
-        body = renderer.add_mesh(recording.object_model.mesh, recording.candidate.scene.T_base_object, OBJECT_RGB)
-        T_base_target = recording.candidate.target.T_base_target
-        ghost = renderer.add_mesh(recording.object_model.mesh, T_base_target, GHOST_RGB)
-        for moment in moments:
-            renderer.pose_robot(robot, moment.q_rad, moment.fingers_m)
-            renderer.move(body, moment.T_base_object)
-            renderer.move(ghost, _away())
-            picture = renderer.photograph(view).rgb.astype(np.float64)
-            renderer.move(ghost, T_base_target)
-            picture += _GHOST_OPACITY * (renderer.photograph(view).rgb - picture)
-            frames.append(Frame(moment.phase, moment.time_s, shrunk(picture)))
-    return frames
 
 
 def _view(recording: Recording, size_px: tuple[int, int]) -> View:

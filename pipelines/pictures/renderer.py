@@ -9,10 +9,10 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-import pybullet
 from jaxtyping import Float, Int, UInt8
 
 from objects.object_model import TriangleMesh
+from pipelines.engines.bullet import pybullet
 from pipelines.engines.robot.description import panda_urdf
 from tables.poses import pose_of
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
+from reports.front_page import FRONT_PICTURES, FRONT_TIER, PICTURES
 from reports.kinds import KINDS
 from reports.ranking import KS, TASK_TITLE
 from reports.site.content import browsed, browser_data, ladder, objects, scenes
@@ -69,15 +70,17 @@ class Site:
         files = {name: asset(name).encode() for name in ASSETS}
         pictures = {path.name: path.read_bytes() for name in texts for path in sorted(self.reports.glob(f"{name}*.png")) if path.is_file()}
         files |= {f"reports/{name}": content for name, content in pictures.items()}
+        front = self._front()
+        files |= front
         files |= {f"films/{name}.{kind}": (self.films / f"{name}.{kind}").read_bytes() for name, kinds in films.items() for kind in kinds}
         frame = browsed(self.release, int(self.release.manifest.provenance.get("recipe_seed", "42")), frozenset(films))
         data = json.dumps(browser_data(frame, films), separators=(",", ":"), sort_keys=True)
         files["candidates.js"] = f"window.CANDIDATES={data};\n".encode()
         pages = {
-            "index.html": self._index(texts, set(pictures), frame),
+            "index.html": self._index(texts, set(pictures), frame, front),
             "objects.html": self._objects(set(pictures)),
             "scenes.html": self._scenes(set(pictures)),
-            "films.html": self._film_page(films, set(pictures)),
+            "films.html": self._film_page(films, set(pictures), front),
             "candidates.html": self._candidates(frame),
             "card.html": self._text("Data card", "card.html", (self.release.directory / CARD).read_text(encoding="utf-8")),
             "datasheet.html": self._text("Datasheet", "datasheet.html", (self.release.directory / DATASHEET).read_text(encoding="utf-8")),
@@ -104,7 +107,13 @@ class Site:
                     found.setdefault(path.stem, []).append(kind)
         return found
 
-    def _index(self, texts: Mapping[str, str], pictures: set[str], frame: pl.DataFrame) -> str:
+    def _front(self) -> dict[str, bytes]:
+        """The pictures of the README, on the site of the release that they are of."""
+        if self.release.manifest.tier != FRONT_TIER:
+            return {}
+        return {f"pictures/{name}.png": (PICTURES / f"{name}.png").read_bytes() for name in FRONT_PICTURES}
+
+    def _index(self, texts: Mapping[str, str], pictures: set[str], frame: pl.DataFrame, front: Collection[str]) -> str:
         metrics = self._metrics()
         split = Split.TEST.value if any(name.startswith(f"{Split.TEST.value}.") for name in metrics) else "all"
         panels = [
@@ -132,6 +141,7 @@ class Site:
             ks=KS,
             has_ranker=any(".ranker." in name for name in metrics),
             pictures=pictures,
+            front=front,
             reports=[(_title(text, name), f"reports/{name}.html") for name, text in texts.items()],
             missing=[name.replace("_", " ") for name in KINDS if name not in texts],
             example=example,
@@ -204,7 +214,7 @@ class Site:
         there = [(source, text) for source, text in shown if source.removeprefix("reports/") in pictures]
         return self._page("table.html", title, here, about=about, columns=columns, rows=rows, pictures=there)
 
-    def _film_page(self, films: Mapping[str, list[str]], pictures: set[str]) -> str:
+    def _film_page(self, films: Mapping[str, list[str]], pictures: set[str], front: Collection[str]) -> str:
         labels = self.release.candidates.filter(pl.col("candidate_id").is_in(sorted(films))).select(
             "candidate_id", "plan_status", "exec_status"
         )
@@ -223,7 +233,7 @@ class Site:
             for status in ExecStatus
             if f"gallery-{status.value}.png" in pictures
         ]
-        return self._page("films.html", "Films", "films.html", films=listed, strips=strips)
+        return self._page("films.html", "Films", "films.html", films=listed, strips=strips, front=front)
 
     def _candidates(self, frame: pl.DataFrame) -> str:
         values = {name: [str(value) for value in sorted(frame[name].drop_nulls().unique().to_list())] for name, _ in _FILTERS}

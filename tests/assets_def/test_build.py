@@ -41,6 +41,8 @@ from model.errors import RankerError
 from objects.catalogue import load_catalogue
 from objects.provenance import catalogue_sources
 from pipelines.recipe import RecipeError
+from reports.load import Task
+from reports.policies import POLICIES, RANKER
 from splits.manifest import read_manifest
 from splits.release import ReleaseError
 from tables.files import file_sha256
@@ -48,7 +50,7 @@ from tables.identity import IdentityError
 from tables.schemas import ALL_SCHEMAS, ATTEMPTS, OBJECT_TABLES
 from tables.store import StoreError, read_sidecar, read_table, sidecar_path, table_from_rows, write_table
 from tests.assets_def.conftest import Built, run
-from tests.assets_def.small import SHARD, TIER, SmallBenchmark
+from tests.assets_def.small import SHARD, TIER, SmallBenchmark, small_benchmark
 from tests.assets_def.test_instance import YAML
 
 
@@ -230,7 +232,7 @@ def test_what_is_up_to_date_is_skipped_and_what_is_not_is_made(built: Built, tmp
     command._build_steps(TIER, benchmark, "release")
     assert outcomes(out) == dict.fromkeys(names, "up to date")
     with DagsterInstance.get() as instance:
-        assert instance.get_runs_count() == 1, "what is up to date starts no run"
+        assert [run.job_name for run in instance.get_runs()] == ["reports"], "what is up to date starts no run"
 
     # The release is made again; it is the same release, so that its report stays.
     (benchmark.root.release(TIER) / "manifest.json").unlink()
@@ -317,3 +319,24 @@ def test_a_reused_report_is_shown_whole(built: Built, tmp_path: Path) -> None:
 def _materialization(assets: AssetsDefinition, benchmark: SmallBenchmark) -> dict[str, object]:
     (event,) = run([assets], TIER, benchmark).get_asset_materialization_events()
     return {name: value.value for name, value in event.materialization.metadata.items()}
+
+
+def test_the_last_words_fit_a_terminal_of_80_columns(tmp_path: Path, out: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Even where every number has its longest form."""
+    benchmark = small_benchmark(tmp_path)
+    directory = benchmark.report_dir(TIER)
+    directory.mkdir(parents=True)
+    ends = {"": 1.0, "_low": 0.984, "_high": 1.0}
+    names = [f"test.{task}.{policy.name}" for task in Task for policy in POLICIES]
+    (directory / "success_at_k.json").write_text(json.dumps({f"{name}.s1{end}": value for name in names for end, value in ends.items()}))
+    monkeypatch.chdir(tmp_path)
+    command._print_result(TIER, "reports", benchmark)
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", out.getvalue())
+    assert max(map(len, plain.splitlines())) <= 80
+    for policy in POLICIES:
+        (row,) = [line for line in plain.splitlines() if line.startswith(policy.label)]
+        assert row.count("100.0 [98.4, 100.0]") == 2
+        assert ("85.78" in row and "79.67" in row) == (policy is RANKER)
+    assert "…" not in plain
+    (site,) = [line.split()[1] for line in plain.splitlines() if line.startswith("site ")]
+    assert (tmp_path / site) == directory / "site" / "index.html"

@@ -20,6 +20,7 @@ from assets_def.resources import Benchmark
 from assets_def.stages import stage_assets
 from assets_def.trees_assets import TREE_PREDICTIONS, trees_step
 from model.features import CANDIDATE_GEOMETRY
+from pipelines.laws import planning_labels_law
 from pipelines.stages import STAGES
 from splits.manifest import files_of_table
 from tables.columns import TableSchema
@@ -118,6 +119,20 @@ def test_every_gate_is_open_on_sound_data(benchmark: SmallBenchmark) -> None:
     for name in sorted(CHECKS):
         result = check(name, benchmark)
         assert result.passed, (name, said(result))
+
+
+def test_a_check_shows_what_it_compared(benchmark: SmallBenchmark) -> None:
+    schema = check("planning_labels.schema", benchmark).metadata
+    path = path_of("planning_labels", benchmark)
+    assert schema["sha256_on_disk"].value == schema["sha256_recorded"].value == file_sha256(path)
+    assert schema["rows"].value == read_sidecar(path).rows
+    law = check("planning_labels.consistent", benchmark).metadata
+    assert law["law"].value == planning_labels_law.__doc__
+    assert f"planning_labels {read_sidecar(path).rows:,}" in str(law["rows_compared"].value)
+
+    flip_a_byte(path)
+    schema = check("planning_labels.schema", benchmark).metadata
+    assert schema["sha256_on_disk"].value != schema["sha256_recorded"].value
 
 
 @pytest.mark.parametrize("asset", SCHEMA_CHECKS)

@@ -30,6 +30,11 @@ def failing() -> None:
     raise ValueError("deterministic")
 
 
+@asset
+def telling(context):  # type: ignore[no-untyped-def]
+    context.log.info("1 of 2 units")
+
+
 def _failed_run(instance: DagsterInstance) -> DagsterRun:
     settings = {"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}}
     result = materialize([failing], instance=instance, raise_on_error=False, run_config=settings)
@@ -44,6 +49,16 @@ def test_the_settings_are_read_as_they_are_meant(instance: DagsterInstance) -> N
     assert instance.run_retries_max_retries == 1
     assert not instance.run_retries_retry_on_asset_or_op_failure
     assert not instance.telemetry_enabled
+    assert not instance.nux_enabled
+    assert instance.python_log_level == "INFO"
+
+
+def test_a_terminal_is_told_what_a_step_says_and_no_more(instance: DagsterInstance, capfd: pytest.CaptureFixture[str]) -> None:
+    assert materialize([telling], instance=instance).success
+    said = capfd.readouterr().err
+    assert "1 of 2 units" in said
+    assert "DEBUG" not in said
+    assert "STEP_SUCCESS" not in said
 
 
 def test_a_failing_step_is_not_run_again(instance: DagsterInstance) -> None:

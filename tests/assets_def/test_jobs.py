@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import pytest
-from dagster import AssetSelection, DagsterInvalidDefinitionError, Definitions, JobDefinition, define_asset_job
+from dagster import AssetKey, AssetSelection, DagsterInvalidDefinitionError, Definitions, JobDefinition, define_asset_job
 
 from assets_def.definitions import definitions
-from assets_def.jobs import jobs
+from assets_def.jobs import job_of, jobs
 from assets_def.partitions import ranker_partitions, shard_partitions, tier_partitions
 from pipelines.stages import STAGES
 from tables.identity import shards_of_tier
 
 PARTITIONS = {
+    "objects": None,
     "mini": shard_partitions,
     "pilot": shard_partitions,
     "full": shard_partitions,
@@ -73,3 +74,25 @@ def test_every_asset_has_owner_and_tags() -> None:
         assert node.tags["placebench/step"], node.key
     scenes = AssetSelection.tag("placebench/step", "make_scenes").resolve(graph)
     assert {key.to_user_string() for key in scenes} == {"scenes", "scene_attempts", "obstacles", "targets"}
+
+
+@pytest.mark.parametrize(
+    ("asset", "partition", "name"),
+    [
+        ("grasp_pool", None, "objects"),
+        ("scenes", "mini-000", "mini"),
+        ("execution_labels", shards_of_tier("pilot")[-1], "pilot"),
+        ("execution_labels", shards_of_tier("full")[-1], "full"),
+        ("splits", "mini", "release"),
+        ("ranker", "mini.full.42", "rankers"),
+        ("predictions", "full", "reports"),
+        ("site", "full", "reports"),
+    ],
+)
+def test_a_build_s_runs_are_of_named_jobs(asset: str, partition: str | None, name: str) -> None:
+    assert job_of(definitions, [AssetKey(asset)], partition) == name
+
+
+def test_there_is_no_job_over_everything() -> None:
+    with pytest.raises(KeyError, match=r"no job makes all of \['ranker', 'scenes'\]"):
+        job_of(definitions, [AssetKey("scenes"), AssetKey("ranker")], "mini-000")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import polars as pl
 import pytest
 
-from assets_def.metadata import outcome_numbers
+from assets_def.metadata import outcome_numbers, type_in_words
 from pipelines.frames import frame_of
 from tables.columns import TableSchema, enum, flag, integer
-from tables.schemas import AUDITS, CANDIDATES, EXECUTION_LABELS, GRASPS, PICK_LIFT, PLANNING_LABELS
+from tables.schemas import ALL_SCHEMAS, AUDITS, CANDIDATES, EXECUTION_LABELS, GRASPS, PICK_LIFT, PLANNING_LABELS
 from tables.vocabulary import ExecStatus, LiftStatus, PlanStatus
 
 TABLE = TableSchema(
@@ -56,3 +56,9 @@ def test_every_status_of_a_table_has_a_name_of_its_own(schema: TableSchema, name
     found = set(outcome_numbers(schema, frame_of(schema.arrow.empty_table())))
     assert found >= names
     assert len(found) == sum(len(column.values) for column in schema.columns if column.name.endswith("_status"))
+
+
+def test_types_are_words() -> None:
+    assert [type_in_words(column) for column in TABLE.columns] == ["integer", "category", "yes or no"]
+    words = {type_in_words(column) for schema in ALL_SCHEMAS.values() for column in schema.columns}
+    assert words == {"category", "text", "integer", "number", "yes or no", "list of numbers", "list of integers"}

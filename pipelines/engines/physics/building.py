@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pybullet
 from jaxtyping import Float
 
+from pipelines.engines.bullet import pybullet
 from pipelines.engines.physics.bodies import ObjectBody
 from pipelines.engines.physics.params import PhysicsParams
 from tables.poses import pose_of

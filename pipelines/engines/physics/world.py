@@ -13,10 +13,10 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-import pybullet
 from jaxtyping import Float
 
 from objects.object_model import ObjectModel
+from pipelines.engines.bullet import pybullet
 from pipelines.engines.physics import building
 from pipelines.engines.physics.bodies import object_body
 from pipelines.engines.physics.errors import PhysicsError

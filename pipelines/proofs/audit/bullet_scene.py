@@ -16,13 +16,13 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-import pybullet
 import pybullet_data
 import trimesh
 from jaxtyping import Bool, Float, Int
 
 from objects.gripper import FINGER_BOXES, FINGER_FROM_HAND_M, TCP_FROM_HAND_M
 from objects.object_model import ObjectModel
+from pipelines.engines.bullet import pybullet
 from pipelines.proofs.audit.errors import AuditError
 from pipelines.values import Scene
 from tables.poses import matrix_of, pose_of

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pybullet
 from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from objects.gripper import FINGER_BOXES, FINGER_FROM_HAND_M, MAX_JAW_M, TCP_FROM_HAND_M
 from objects.object_model import ObjectModel
+from pipelines.engines.bullet import pybullet
 from pipelines.engines.physics.bodies import hull_mesh
 from pipelines.engines.physics.hand_bodies import FINGERS, SLIDES, box_of
 from pipelines.engines.physics.hand_params import HandWorldParams

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import pybullet
 
+from pipelines.engines.bullet import pybullet
 from pipelines.proofs.validity.second_engine.bullet_bodies import HandIds
 
 # Fields of a contact point: bodies, links, normal on b, normal force on a along it, two friction forces and their directions.

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import pybullet
 from jaxtyping import Float
 
 from objects.object_model import ObjectModel
+from pipelines.engines.bullet import pybullet
 from pipelines.engines.physics.hand_bodies import fixed_bodies
 from pipelines.engines.physics.hand_model import Carrier, build_model
 from pipelines.engines.physics.hand_motion import cross

@@ -11,11 +11,11 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-import pybullet
 from jaxtyping import Float
 
 from objects.gripper import MAX_JAW_M
 from objects.object_model import ObjectModel
+from pipelines.engines.bullet import pybullet
 from pipelines.engines.physics.errors import PhysicsError
 from pipelines.engines.physics.finger_drives import FingerDrives
 from pipelines.engines.physics.hand_bodies import FINGERS, fixed_bodies
