@@ -75,8 +75,8 @@ class ReportKind:
         """Make the report and publish its files."""
         directory = benchmark.report_dir(tier)
         report = self.make(benchmark, tier)
-        markdown = report.write(directory)
-        return [markdown, directory / f"{self.name}.json", *(directory / f"{stem}.png" for stem in report.figures)], {}
+        report.write(directory)
+        return [directory / name for name in report.files()], {}
 
 
 def _made(name: str) -> Callable[[Benchmark, str], Report]:
