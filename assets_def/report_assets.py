@@ -95,6 +95,7 @@ def _shard_diagnostics(benchmark: Benchmark, tier: str) -> Report:
     return shard_diagnostics_report({name: read_tables(ALL_SCHEMAS[name], paths[name]) for name in SHARD_TABLES}, tier=tier)
 
 
+_SCORES = ("predictions", TREE_PREDICTIONS)
 PROFILE = ReportKind(
     "profile", "Counts, statuses, coverage and the ladder of policies that learn nothing.", _made("profile"), reads_timings=True
 )
@@ -113,9 +114,11 @@ REPORTS = (
         "success_at_k",
         "S_K of every policy on both tasks, which of them differ, the paper beside ours.",
         _made("success_at_k"),
-        ("predictions", "decision_times", TREE_PREDICTIONS),
+        (*_SCORES, "decision_times"),
         reads_timings=True,
     ),
+    ReportKind("seed_robustness", "S_K of every training of the learned policies, mean and deviation.", _made("seed_robustness"), _SCORES),
+    ReportKind("solvability", "Whether the learned policies know that a group holds no success at all.", _made("solvability"), _SCORES),
     ReportKind("ablation", "The ranker and three ablations on the validation split.", _made("ablation"), ("predictions",)),
     ReportKind(
         "trees_probe",

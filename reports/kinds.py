@@ -12,11 +12,13 @@ from reports.audit import audit_report
 from reports.ceiling import ceiling_report
 from reports.gallery import gallery_report
 from reports.load import Task, check_parts
-from reports.policies import prediction_seeds
+from reports.policies import LEARNED, TREES, TREES_POSES, prediction_seeds
 from reports.profile import profile_report
 from reports.repeatability import repeatability_report
 from reports.report import Report, ReportError
+from reports.seed_robustness import seed_robustness_report
 from reports.shard_diagnostics import shard_diagnostics_report
+from reports.solvability import solvability_report
 from reports.sources import Sources
 from reports.success_at_k import DESIGNATED_SEED, success_at_k_report
 from reports.trees_probe import trees_probe_report
@@ -29,6 +31,8 @@ from tables.vocabulary import Split, SplitScheme
 N_FILMS = {"mini": 1, "pilot": 3, "full": 3}
 
 _RANKED = ("candidates", "splits", "scenes", "targets", "policy_features")
+_LEARNED = (*_RANKED, "predictions")
+_VARIANTS = tuple(policy.variant for policy in LEARNED if policy not in (TREES, TREES_POSES))
 _PICTURED = (*OBJECT_TABLES, "scenes", "obstacles", "targets", "grasps", "candidates")
 
 
@@ -102,6 +106,16 @@ def _success_at_k(sources: Sources) -> Report:
     return success_at_k_report(tables, scores, times, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
 
 
+def _of_learned(make: Callable[..., Report], *needed: Split) -> Callable[[Sources], Report]:
+    """A report on the learned policies alone, made of what they predict."""
+
+    def made(sources: Sources) -> Report:
+        tables, predictions = _judged(sources, *needed), _all_predictions(sources)
+        return make(tables, predictions, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
+
+    return made
+
+
 def _ablation(sources: Sources) -> Report:
     tables, predictions = _judged(sources, Split.VALIDATION), sources.table("predictions")
     return ablation_report(tables, predictions, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
@@ -148,6 +162,22 @@ KINDS = {
             _success_at_k,
             ("predictions", "tree_predictions", "decision_times", "timings"),
             shown_parts={"predictions": ("full",), "decision_times": tuple(Task)},
+            by_split=True,
+        ),
+        Kind(
+            "seed_robustness",
+            _LEARNED,
+            _of_learned(seed_robustness_report, Split.VALIDATION, Split.TEST),
+            ("tree_predictions",),
+            shown_parts={"predictions": _VARIANTS},
+            by_split=True,
+        ),
+        Kind(
+            "solvability",
+            _LEARNED,
+            _of_learned(solvability_report, Split.VALIDATION, Split.TEST),
+            ("tree_predictions",),
+            shown_parts={"predictions": _VARIANTS},
             by_split=True,
         ),
         Kind("ablation", (*_RANKED, "predictions"), _ablation, shown_parts={"predictions": tuple(VARIANTS)}, by_split=True),

@@ -19,19 +19,21 @@ from reports.entries import Entry, comparison, entries_of, entry_of, prediction_
 from reports.figures import ladder_figure
 from reports.ladder import calls_table, ladder_bars, ladder_metrics, ladder_table
 from reports.load import Task, candidate_frame, group_frame, of_scheme, scheme_note
-from reports.metrics import MIN_SCENES, Estimate, coverage, spread_of
-from reports.policies import LEARNED, ORACLE, PLAN_HEAD_ONLY, RANKER, Policy, prediction_seeds, with_predictions
-from reports.ranking import KS, TASK_TITLE, timing_frame
+from reports.metrics import MIN_SCENES, Estimate, coverage
+from reports.policies import LEARNED, ORACLE, PLAN_HEAD_ONLY, RANKER, Policy, prediction_seeds
+from reports.ranking import TASK_TITLE, timing_frame
 from reports.report import Report
-from reports.solvability import solvability_section
 from reports.strata import strata_section
-from splits.markdown import table
 from tables.vocabulary import Split, SplitScheme
 
-# The paper compares policies with one checkpoint that was designated beforehand; solvability does so here.
+# The paper compares policies with one checkpoint that was designated beforehand; what is told of single groups and trees is of it here.
 DESIGNATED_SEED = 42
 
 _SPLITS = ("test", "validation", "all")
+_ELSEWHERE = (
+    "More on the learned policies is in reports `seed_robustness` (every training), `solvability` (groups without a success),"
+    " `planner_calls` (what a ranking saves), `calibration`, `errors` and `learning_curve`."
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,22 +77,14 @@ def success_at_k_report(
     blocks = [f"# S_K on tier {tier}{of_scheme(scheme)}", *scheme_note(scheme), _introduction(seeds, scheme)]
     metrics: dict[str, float] = {}
     figures: dict[str, bytes] = {}
-    entries: dict[tuple[str, Task], list[Entry]] = {}
     for split in _SPLITS:
-        for task in Task:
-            entries[split, task] = _entries(inputs, split, task)
-        section, values, png = _split_section(inputs, split, {task: entries[split, task] for task in Task})
+        section, values, png = _split_section(inputs, split, {task: _entries(inputs, split, task) for task in Task})
         stem = f"success_at_k-{split}"
         blocks += [*section, f"![S_K of the policies with 95 % intervals]({stem}.png)"]
         metrics |= values
         figures[stem] = png
-    if scores is not None and seeds:
-        blocks += _seed_section(entries, scheme)
-        designated = {policy: DESIGNATED_SEED if DESIGNATED_SEED in own else own[0] for policy, own in seeds.items()}
-        scored = {policy: with_predictions(frame, scores, policy.variant, own) for policy, own in designated.items()}
-        section, values = solvability_section(scored, seed, scheme)
-        blocks += section
-        metrics |= values
+    if seeds:
+        blocks.append(_ELSEWHERE)
     return Report("success_at_k", "\n\n".join(blocks) + "\n", figures, metrics)
 
 
@@ -180,24 +174,6 @@ def _comparison(entries: Sequence[Entry], groups: pl.DataFrame, seed: int, prefi
         " resampled. Letters of S1 and of the mean rank of the first success in a covered group, the finer measure, are apart."
     )
     return [text, letters, strata], metrics | values
-
-
-def _seed_section(entries: Mapping[tuple[str, Task], Sequence[Entry]], scheme: SplitScheme) -> list[str]:
-    rows = []
-    for split in ("validation", "test"):
-        for task in Task:
-            for entry in entries[split, task]:
-                if entry.policy not in LEARNED:
-                    continue
-                has_paper = scheme is SplitScheme.SCENE and entry.policy is RANKER
-                in_paper = map(str, paper.SEEDS[split, task]) if has_paper else [None] * len(KS)
-                spreads = [_text(spread_of(entry.s_by_training(k))) for k in KS]
-                cells = [cell for pair in zip(spreads, in_paper, strict=True) for cell in pair]
-                seeds = ", ".join(map(str, entry.seeds))
-                rows.append([f"{split}, {TASK_TITLE[task].lower()}", entry.policy.label, seeds, *cells])
-    header = ["", "policy", "seeds", *(cell for k in KS for cell in (f"S{k}", "paper"))]
-    text = f"Mean ± sample standard deviation over the trainings; a single one has no deviation. Paper: {paper.SEEDS_SOURCE}."
-    return ["## Training seeds", text, table(header, rows, align="lll" + "r" * (len(header) - 3))]
 
 
 def _text(value: object | None) -> str | None:

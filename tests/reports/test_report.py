@@ -12,7 +12,9 @@ from reports.report import Report, ReportError
 def test_a_report_is_written_whole(tmp_path: Path) -> None:
     rows = [{"policy": "a, b", "n": 3, "s1": 0.1}, {"policy": "c", "n": 4, "s1": None}]
     metrics = {"b": 2.0, "a": 1.0, "a_low": 0.5, "a_high": 1.5}
-    report = Report("bench", "# Bench\n\n![bars](bench-bars.png)\n", {"bench-bars": b"png"}, metrics, {"bench-points": rows, "bench-no": []})
+    report = Report(
+        "bench", "# Bench\n\n![bars](bench-bars.png)\n", {"bench-bars": b"png"}, metrics, {"bench-points": rows, "bench-no": []}
+    )
     assert report.write(tmp_path / "out") == tmp_path / "out" / "bench.md"
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == {
         "bench.md": report.markdown.encode(),
