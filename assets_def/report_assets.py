@@ -119,6 +119,9 @@ REPORTS = (
     ),
     ReportKind("seed_robustness", "S_K of every training of the learned policies, mean and deviation.", _made("seed_robustness"), _SCORES),
     ReportKind("solvability", "Whether the learned policies know that a group holds no success at all.", _made("solvability"), _SCORES),
+    ReportKind(
+        "calibration", "Whether predicted probabilities mean what they say, before and after a temperature.", _made("calibration"), _SCORES
+    ),
     ReportKind("ablation", "The ranker and three ablations on the validation split.", _made("ablation"), ("predictions",)),
     ReportKind(
         "trees_probe",

@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from reports.ablation import VARIANTS, ablation_report
 from reports.audit import audit_report
+from reports.calibration_report import calibration_report
 from reports.ceiling import ceiling_report
 from reports.gallery import gallery_report
 from reports.load import Task, check_parts
@@ -176,6 +177,14 @@ KINDS = {
             "solvability",
             _LEARNED,
             _of_learned(solvability_report, Split.VALIDATION, Split.TEST),
+            ("tree_predictions",),
+            shown_parts={"predictions": _VARIANTS},
+            by_split=True,
+        ),
+        Kind(
+            "calibration",
+            _LEARNED,
+            _of_learned(calibration_report, Split.VALIDATION, Split.TEST),
             ("tree_predictions",),
             shown_parts={"predictions": _VARIANTS},
             by_split=True,

@@ -93,7 +93,7 @@ def solvability_report(
         figures["solvability"] = roc_figure(panels, title)
         blocks += [
             "![Recall of solvable groups against that of unsolvable ones](solvability.png)",
-            "A curve is of the scores of all trainings together; a dot is the mean of the trainings at the thresholds that validation chose.",
+            "A curve is of the scores of all trainings together, a dot the mean of the trainings at the thresholds that validation chose.",
         ]
     return Report("solvability", "\n\n".join(blocks) + "\n", figures, metrics, {"solvability-groups": _group_rows(frames)})
 

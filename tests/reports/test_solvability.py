@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pyarrow as pa
@@ -38,7 +39,7 @@ def test_the_numbers_are_those_of_a_count_by_hand(release_tables: dict[str, pa.T
             return float(np.mean(shares))
 
         p = sorted({p for p, _ in known})
-        steps = [p[0], *((a + b) / 2 for a, b in zip(p, p[1:], strict=False))]
+        steps = [p[0], *((a + b) / 2 for a, b in pairwise(p))]
         chosen = max(steps, key=lambda threshold, known=known: balanced(threshold, known))
         recalls.append(np.mean([p >= chosen for p in solvable]))
         lost.append(np.mean([p < chosen for p in unsolvable]))
