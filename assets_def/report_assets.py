@@ -15,7 +15,7 @@ from assets_def.partitions import shards_to_tiers, tier_partitions
 from assets_def.products import FilesProduct, Record
 from assets_def.resources import Benchmark
 from assets_def.steps import Step
-from assets_def.trees_assets import TREE_PREDICTIONS
+from assets_def.trees_assets import TREE_PREDICTIONS, TREE_TIMES
 from reports.kinds import KINDS, N_FILMS
 from reports.report import Report
 from reports.shard_diagnostics import SHARD_TABLES, shard_diagnostics_report
@@ -96,6 +96,7 @@ def _shard_diagnostics(benchmark: Benchmark, tier: str) -> Report:
 
 
 _SCORES = ("predictions", TREE_PREDICTIONS)
+_TIMES = ("decision_times", TREE_TIMES)
 PROFILE = ReportKind(
     "profile", "Counts, statuses, coverage and the ladder of policies that learn nothing.", _made("profile"), reads_timings=True
 )
@@ -114,7 +115,14 @@ REPORTS = (
         "success_at_k",
         "S_K of every policy on both tasks, which of them differ, the paper beside ours.",
         _made("success_at_k"),
-        (*_SCORES, "decision_times"),
+        (*_SCORES, *_TIMES),
+        reads_timings=True,
+    ),
+    ReportKind(
+        "planner_calls",
+        "Planner calls until the first plan of every order, and seconds a group against planning everything.",
+        _made("planner_calls"),
+        (*_SCORES, *_TIMES),
         reads_timings=True,
     ),
     ReportKind("seed_robustness", "S_K of every training of the learned policies, mean and deviation.", _made("seed_robustness"), _SCORES),

@@ -137,8 +137,8 @@ _ABOUT = (
     f"Expected calibration error (ECE, over {N_BINS} bins of equal width) and Brier score of every probability that a learned policy gives,"
     " as it is and after temperature scaling: the logits of each head divided by a number that the validation split chose. The probability"
     " of success is the product of both heads, scaled or not. Numbers are means over the trainings; intervals are 95 %, scenes and"
-    f" trainings resampled, none below {MIN_SCENES} scenes. The ECE of resampled candidates is biased upwards, so its interval may lie above"
-    " a small value. The last column is the Brier score of whoever says the rate of the split for every candidate. Scaling leaves the order"
+    f" trainings resampled, none below {MIN_SCENES} scenes. The ECE of resampled candidates is biased upwards: its interval may lie above a"
+    " small value. The last column is the Brier score of whoever says the rate of the split for every candidate. Scaling leaves the order"
     " by one head as it is; that by the product may change."
 )
 

@@ -13,8 +13,11 @@ from reports.calibration_report import calibration_report
 from reports.ceiling import ceiling_report
 from reports.gallery import gallery_report
 from reports.load import Task, check_parts
+from reports.planner_calls import Costs, planner_calls_report
+from reports.planner_costs import planner_costs
 from reports.policies import LEARNED, TREES, TREES_POSES, prediction_seeds
 from reports.profile import profile_report
+from reports.ranking import MACHINE, timing_frame
 from reports.repeatability import repeatability_report
 from reports.report import Report, ReportError
 from reports.seed_robustness import seed_robustness_report
@@ -24,7 +27,7 @@ from reports.sources import Sources
 from reports.success_at_k import DESIGNATED_SEED, success_at_k_report
 from reports.trees_probe import trees_probe_report
 from splits.release_laws import stage_tables
-from tables.schemas import OBJECT_TABLES, PREDICTIONS
+from tables.schemas import OBJECT_TABLES, PREDICTIONS, TIMINGS
 from tables.store import join_tables
 from tables.vocabulary import Split, SplitScheme
 
@@ -32,6 +35,7 @@ from tables.vocabulary import Split, SplitScheme
 N_FILMS = {"mini": 1, "pilot": 3, "full": 3}
 
 _RANKED = ("candidates", "splits", "scenes", "targets", "policy_features")
+_TIMES = ("decision_times", "tree_decision_times")
 _LEARNED = (*_RANKED, "predictions")
 _VARIANTS = tuple(policy.variant for policy in LEARNED if policy not in (TREES, TREES_POSES))
 _PICTURED = (*OBJECT_TABLES, "scenes", "obstacles", "targets", "grasps", "candidates")
@@ -103,8 +107,32 @@ def _audit(sources: Sources) -> Report:
 
 def _success_at_k(sources: Sources) -> Report:
     tables = _judged(sources, Split.VALIDATION, Split.TEST) | sources.tables(sources.there(["timings"]))
-    scores, times = _all_predictions(sources), sources.tables(sources.there(["decision_times"])).get("decision_times")
-    return success_at_k_report(tables, scores, times, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
+    scores, (times, machine) = _all_predictions(sources), _decision_times(sources)
+    return success_at_k_report(tables, scores, times, tier=sources.tier, seed=sources.seed, scheme=sources.scheme, machine=machine)
+
+
+def _planner_calls(sources: Sources) -> Report:
+    """Planning costs come from the table of that name, else from the timings of a whole release."""
+    tables, (times, machine) = _judged(sources, Split.TEST), _decision_times(sources)
+    timings = sources.tables(sources.there(["timings"]))
+    why_not, planning = "", None
+    if sources.there(["planner_costs"]):
+        planning = sources.table("planner_costs")
+    elif timings:
+        planning = planner_costs(timings["timings"], tables["candidates"])
+    else:
+        lacks = f"{sources.missing('planner_costs')}, and {sources.missing('timings')}"
+        why_not = f"{lacks}; `python -m reports.planner_costs` makes the one from the other"
+    costs = Costs(timing_frame(timings, times), planning, machine, why_not)
+    scores = _all_predictions(sources)
+    return planner_calls_report(tables, scores, costs, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
+
+
+def _decision_times(sources: Sources) -> tuple[pa.Table | None, str]:
+    """Those of the networks and those of the trees, as far as they are there, and the machines that they were measured on."""
+    there = sources.there(_TIMES)
+    machines = dict.fromkeys(machine for name in there if (machine := sources.origin(name, MACHINE)))
+    return (join_tables(TIMINGS, [sources.table(name) for name in there]) if there else None), " and ".join(machines)
 
 
 def _of_learned(make: Callable[..., Report], *needed: Split) -> Callable[[Sources], Report]:
@@ -161,8 +189,16 @@ KINDS = {
             "success_at_k",
             _RANKED,
             _success_at_k,
-            ("predictions", "tree_predictions", "decision_times", "timings"),
+            ("predictions", "tree_predictions", *_TIMES, "timings"),
             shown_parts={"predictions": ("full",), "decision_times": tuple(Task)},
+            by_split=True,
+        ),
+        Kind(
+            "planner_calls",
+            _RANKED,
+            _planner_calls,
+            ("predictions", "tree_predictions", *_TIMES, "planner_costs"),
+            shown_parts={"predictions": _VARIANTS, "decision_times": tuple(Task)},
             by_split=True,
         ),
         Kind(

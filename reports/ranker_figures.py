@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.ticker import FixedLocator, NullLocator
+from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
 
 from reports.figures import _figure as figure_of
 from reports.figures import _png as png_of
@@ -158,27 +158,26 @@ def seconds_figure(panels: Mapping[str, Mapping[str, tuple[float, Estimate | Non
     Args:
         panels: by task and order, mean decision time, seconds in all with their interval, and those of planning everything.
     """
-    n_rows = max(len(rows) for rows in panels.values())
-    figure = figure_of(4.6 * len(panels) + 1.2, 1.7 + 0.36 * n_rows)
-    shared: Axes | None = None
+    labels = list(dict.fromkeys(label for rows in panels.values() for label in rows))
+    y = {label: float(len(labels) - 1 - k) for k, label in enumerate(labels)}
+    figure = figure_of(4.6 * len(panels) + 1.2, 1.7 + 0.36 * len(labels))
     for number, (name, rows) in enumerate(panels.items(), 1):
-        axes = figure.add_subplot(1, len(panels), number, sharey=shared)
-        shared = shared or axes
-        y = np.arange(len(rows))[::-1]
-        for at, (decision_s, total, everything_s) in zip(y, rows.values(), strict=True):
+        axes = figure.add_subplot(1, len(panels), number)
+        for label, (decision_s, total, everything_s) in rows.items():
             if total is not None:
                 around = [[max(0.0, total.value - total.low)], [max(0.0, total.high - total.value)]]
-                axes.errorbar(total.value, at, xerr=around, fmt="o", color=_SERIES[0], markersize=5, capsize=2.5, elinewidth=1)
+                axes.errorbar(total.value, y[label], xerr=around, fmt="o", color=_SERIES[0], markersize=5, capsize=2.5, elinewidth=1)
             if decision_s > 0.0:
-                axes.plot([decision_s], [at], "|", color=_SERIES[2], markersize=11, markeredgewidth=2)
-            axes.plot([everything_s], [at], ",", color=_INK)
-        if rows:
-            axes.axvline(next(iter(rows.values()))[2], color=_SERIES[1], linestyle="--", linewidth=1.2)
+                axes.plot([decision_s], [y[label]], "|", color=_SERIES[2], markersize=11, markeredgewidth=2)
+            axes.axvline(everything_s, color=_SERIES[1], linestyle="--", linewidth=1.2)
         axes.set_xscale("log")
-        axes.set_yticks(y, list(rows))
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.set_ylim(-0.6, len(labels) - 0.4)
+        axes.set_yticks(list(y.values()), list(y))
         axes.tick_params(labelleft=number == 1)
         axes.set_xlabel("seconds a group", fontsize=9)
-        axes.set_title(name, loc="left", fontsize=10)
+        axes.set_title(name, loc="left", fontsize=9.5)
         tidied(axes, grid="x")
     titled(figure, f"{title}   (dot: in all, green: decision, broken line: planning everything)")
     return png_of(figure)

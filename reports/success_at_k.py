@@ -17,7 +17,7 @@ from reports import paper
 from reports.command import Asked, report_command
 from reports.entries import Entry, comparison, entries_of, entry_of, prediction_frames
 from reports.figures import ladder_figure
-from reports.ladder import calls_table, ladder_bars, ladder_metrics, ladder_table
+from reports.ladder import ladder_bars, ladder_metrics, ladder_table
 from reports.load import Task, candidate_frame, group_frame, of_scheme, scheme_note
 from reports.metrics import MIN_SCENES, Estimate, coverage
 from reports.policies import LEARNED, ORACLE, PLAN_HEAD_ONLY, RANKER, Policy, prediction_seeds
@@ -57,16 +57,18 @@ def success_at_k_report(
     tier: str,
     seed: int,
     scheme: SplitScheme = SplitScheme.SCENE,
+    machine: str = "",
 ) -> Report:
     """Report `success_at_k`.
 
     Args:
         tables: a release: `candidates`, `splits`, `scenes`, `targets`, `policy_features`, and `timings` where decision times are wanted.
         predictions: table `predictions` of any learned policies (`policies.LEARNED`), any seeds; those without are left out.
-        ranker_timings: table `timings` with the stage `ranker`, see `ranking.ranker_timing_rows`.
+        ranker_timings: table `timings` of learned policies, see `ranking.ranker_timing_rows`.
         tier: printed in the title.
         seed: seed of the hash order and the resampling.
         scheme: by what scenes are dealt to the splits; the one that the rankers of `predictions` were trained under.
+        machine: on which `ranker_timings` were measured.
     """
     frame = candidate_frame(tables, seed, scheme)
     scores = None if predictions is None else frame_of(predictions)
@@ -74,7 +76,7 @@ def success_at_k_report(
     groups = {task: group_frame(tables, task, scheme) for task in Task}
     inputs = _Inputs(tier, scheme, seed, frame, scores, groups, timing_frame(tables, ranker_timings))
 
-    blocks = [f"# S_K on tier {tier}{of_scheme(scheme)}", *scheme_note(scheme), _introduction(seeds, scheme)]
+    blocks = [f"# S_K on tier {tier}{of_scheme(scheme)}", *scheme_note(scheme), _introduction(seeds, scheme, machine)]
     metrics: dict[str, float] = {}
     figures: dict[str, bytes] = {}
     for split in _SPLITS:
@@ -88,7 +90,7 @@ def success_at_k_report(
     return Report("success_at_k", "\n\n".join(blocks) + "\n", figures, metrics)
 
 
-def _introduction(seeds: Mapping[Policy, Sequence[int]], scheme: SplitScheme) -> str:
+def _introduction(seeds: Mapping[Policy, Sequence[int]], scheme: SplitScheme, machine: str) -> str:
     trained = "; ".join(f"{policy.label} {', '.join(map(str, own))}" for policy, own in seeds.items())
     learned = f"Learned policies are means over their trainings, by seed: {trained}." if seeds else ""
     missing = "" if RANKER in seeds else " **No ranker was scored: its rows are missing.**"
@@ -102,8 +104,9 @@ def _introduction(seeds: Mapping[Policy, Sequence[int]], scheme: SplitScheme) ->
         "A group is *covered* when it holds a success; S_K is the share of covered groups with a success among the first K tried. Every"
         " policy orders the same candidates and breaks ties by the candidate's hash. Endpoint policies try what passes first and the rest"
         " after it. Intervals are 95 % and take into account that the groups of a scene are alike, and that trainings differ. Decision time"
-        " is core time of one CPU for all of a group's computations, fresh; the ranker's is wall-clock time from the scene's points to"
-        f" scores. {learned}{missing}{in_paper}"
+        " is core time of one CPU for all of a group's computations, fresh; that of learned policies is wall-clock time from the scene's"
+        f" points to scores{f', on {machine}' if machine else ''}; by size of the group it is in report `planner_calls`."
+        f" {learned}{missing}{in_paper}"
     )
 
 
@@ -129,7 +132,7 @@ def _split_section(inputs: _Inputs, split: str, entries: Mapping[Task, Sequence[
         covered = coverage(groups, own[0].rankings[0].ranks, task)
         prefix = f"{split}.{task.value}"
         blocks += _facts(task, split, groups, own[0], covered, inputs.scheme)
-        blocks += [ladder_table(own, is_in_paper=is_in_paper), calls_table(own, is_in_paper=is_in_paper)]
+        blocks.append(ladder_table(own, is_in_paper=is_in_paper))
         metrics |= ladder_metrics(prefix, own, covered)
         if split != "all":
             more, values = _comparison(own, groups, inputs.seed, prefix)
