@@ -130,6 +130,13 @@ REPORTS = (
     ReportKind(
         "calibration", "Whether predicted probabilities mean what they say, before and after a temperature.", _made("calibration"), _SCORES
     ),
+    ReportKind(
+        "errors",
+        "The groups that the local ranker gets most wrong, with films, and what becomes of first choices that fail.",
+        _made("errors"),
+        _SCORES,
+        parameters=N_FILMS,
+    ),
     ReportKind("ablation", "The ranker and three ablations on the validation split.", _made("ablation"), ("predictions",)),
     ReportKind(
         "trees_probe",

@@ -7,11 +7,14 @@ from dataclasses import dataclass, field
 
 import pyarrow as pa
 
+from pipelines.recipe import Recipe
 from reports.ablation import VARIANTS, ablation_report
 from reports.audit import audit_report
 from reports.calibration_report import calibration_report
 from reports.ceiling import ceiling_report
+from reports.error_analysis import Films, errors_report
 from reports.gallery import gallery_report
+from reports.learning_curve import learning_curve_report
 from reports.load import Task, check_parts
 from reports.planner_calls import Costs, planner_calls_report
 from reports.planner_costs import planner_costs
@@ -85,16 +88,33 @@ def _profile(sources: Sources) -> Report:
 
 
 def _gallery(sources: Sources) -> Report:
-    """With films where there are plans and this code has the recipe that they were made with: a film runs a plan again."""
-    tables, recipe, why_not = sources.tables((*_PICTURED, *sources.there(["plans"]))), None, ""
-    if "plans" not in tables:
-        why_not = "table `plans` is left out of this release; `make plans` makes it again"
-    else:
-        try:
-            recipe = sources.recipe()
-        except ReportError as error:
-            why_not = str(error)
+    tables, (recipe, why_not) = sources.tables((*_PICTURED, *sources.there(["plans"]))), _recipe_of_films(sources)
     return gallery_report(tables, recipe, tier=sources.tier, n_films=N_FILMS[sources.tier], why_no_films=why_not)
+
+
+def _recipe_of_films(sources: Sources) -> tuple[Recipe | None, str]:
+    """There are films where there are plans and this code has the recipe that they were made with: a film runs a plan again."""
+    if not sources.there(["plans"]):
+        return None, "table `plans` is left out of this release; `make plans` makes it again"
+    try:
+        return sources.recipe(), ""
+    except ReportError as error:
+        return None, str(error)
+
+
+def _learning_curve(sources: Sources) -> Report:
+    return learning_curve_report(sources.tables(_RANKED), sources.table("learning_curve"), tier=sources.tier, seed=sources.seed)
+
+
+def _errors(sources: Sources) -> Report:
+    tables, predictions, (recipe, why_not) = _judged(sources, Split.TEST), _all_predictions(sources), _recipe_of_films(sources)
+    lacks = [text for name in _PICTURED if (text := sources.missing(name))]
+    if recipe is not None and not lacks:
+        films = Films(sources.tables((*_PICTURED, "plans")), recipe, N_FILMS[sources.tier])
+    else:
+        films = Films(why_not="; ".join([why_not] if why_not else lacks))
+    assert predictions is not None
+    return errors_report(tables, predictions, films, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
 
 
 def _repeatability(sources: Sources) -> Report:
@@ -225,6 +245,15 @@ KINDS = {
             shown_parts={"predictions": _VARIANTS},
             by_split=True,
         ),
+        Kind(
+            "errors",
+            _LEARNED,
+            _errors,
+            ("tree_predictions", "plans"),
+            shown_parts={"predictions": _VARIANTS},
+            by_split=True,
+        ),
+        Kind("learning_curve", (*_RANKED, "learning_curve"), _learning_curve),
         Kind("ablation", (*_RANKED, "predictions"), _ablation, shown_parts={"predictions": tuple(VARIANTS)}, by_split=True),
         Kind(
             "trees_probe",

@@ -239,11 +239,15 @@ def _seconds(
             cells = [f"{decision_s:.3f}", cells[1], _shown(total, bootstrap, 3), _shown(everything / total, bootstrap, 1)]
             metrics |= _metric(f"{name}.total_s", total, bootstrap) | _metric(f"{name}.speed_up", everything / total, bootstrap)
             metrics[f"{prefix}.{policy.name}.decision_s"] = decision_s
-            bars[policy.label] = (decision_s, total.estimate(), everything.value)
+            bars[policy.label] = (decision_s, total.estimate() if bootstrap.is_telling else _point(total), everything.value)
         rows.append([policy.label, *cells])
     rows.append(["Planning everything", None, _shown(everything, bootstrap, 3), _shown(everything, bootstrap, 3), "1"])
     header = ["seconds a group", "decision", "planning [95 %]", "in all [95 %]", "times faster than everything [95 %]"]
     return [f"### Seconds {stop.title}", f"{those.height:,} groups.", table(header, rows)], metrics, bars
+
+
+def _point(draws: Draws) -> Estimate:
+    return Estimate(draws.value, draws.value, draws.value, draws.n, draws.n_scenes)
 
 
 def _column(own: Sequence[pl.DataFrame], name: str) -> Float[np.ndarray, "r n"]:
