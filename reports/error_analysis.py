@@ -136,10 +136,10 @@ def errors_report(
 
 def _about(policy: Policy, seed: int) -> str:
     return (
-        f"Covered groups in which {policy.label.lower()}, training {seed}, tries the most candidates before one succeeds. *Regret* is the log"
-        " probability of success that it gave to its first choice minus that of its best success, both predicted: how sure it was of the"
-        " wrong one. What was tried is named by status: of planning where there was no plan, else of execution. Every candidate can be made"
-        " again from its id and looked at: with a plan as a film, without one as the hand at its place and the reason."
+        f"Covered groups in which {policy.label.lower()}, training {seed}, tries the most candidates before one succeeds. *Regret* is the"
+        " log probability of success that it gave to its first choice minus that of its best success: how sure it was of the wrong one."
+        " What was tried is named by status: of planning where there was no plan, else of execution. Every candidate can be made again"
+        " from its id and looked at: with a plan as a film, without one as the hand at its place and the reason."
     )
 
 
