@@ -127,10 +127,10 @@ def errors_report(
         blocks += [f"## {TASK_TITLE[task]}: first choices that fail", *section]
         blocks.append(f"![What becomes of the first choice of each policy in covered groups](errors-first_choice-{task.value}.png)")
         metrics |= values
-        for own, trainings in firsts.items():
+        for order, trainings in firsts.items():
             failing = _share_of(trainings, pl.col("outcome") != ExecStatus.SUCCESS.value)
-            metrics |= flat(f"test.{task.value}.{own.name}.first_choice_fails", failing)
-            counted += _counted(trainings, own, task)
+            metrics |= flat(f"test.{task.value}.{order.name}.first_choice_fails", failing)
+            counted += _counted(trainings, order, task)
     return Report("errors", "\n\n".join(blocks) + "\n", figures, metrics, {"errors-worst": rows, "errors-first_choice": counted})
 
 

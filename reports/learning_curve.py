@@ -19,11 +19,12 @@ import pyarrow as pa
 from pipelines.frames import frame_of
 from reports.entries import Entry, entry_of, flat
 from reports.load import Task, candidate_frame
-from reports.metrics import Estimate, spread_of
+from reports.metrics import spread_of
 from reports.policies import FULL_PLANNER, IK_AND_GRIPPER, POLICIES, Policy, with_predictions
 from reports.ranker_figures import Curve, Line, curve_figure
 from reports.ranking import KS, TASK_TITLE, timing_frame
 from reports.report import Report, ReportError
+from reports.resampling import Draws, SceneBootstrap
 from splits.markdown import table
 from splits.release_reader import Release
 from tables.errors import PlaceBenchError
@@ -57,7 +58,9 @@ def learning_curve_report(tables: Mapping[str, pa.Table], predictions: pa.Table,
     for task in Task:
         entries = {(variant, n): _entry(frame, scores, variant, n, task) for variant, n in sizes}
         levels = [entry_of(policy, task, frame, timing_frame({})) for policy in _LEVELS]
-        blocks += [f"## {TASK_TITLE[task]}", *_section(entries, levels, n_train)]
+        doubling, values = _doubling(entries, _labels(sizes), seed, f"validation.{task.value}")
+        blocks += [f"## {TASK_TITLE[task]}", _section(entries, levels, n_train), *doubling]
+        metrics |= values
         for (variant, n), entry in entries.items():
             for k in KS:
                 metrics |= flat(f"validation.{task.value}.{variant}.n{n}.s{k}", entry.s(k))
@@ -136,7 +139,7 @@ def _entry(frame: pl.DataFrame, scores: pl.DataFrame, variant: str, n: int, task
     return entry_of(_policy(variant, n), task, {seed: with_predictions(frame, own, variant, seed) for seed in seeds}, timing_frame({}))
 
 
-def _section(entries: Mapping[tuple[str, int], Entry], levels: Sequence[Entry], n_train: int) -> list[str]:
+def _section(entries: Mapping[tuple[str, int], Entry], levels: Sequence[Entry], n_train: int) -> str:
     labels = _labels(list(entries))
     rows: list[list[object]] = []
     for (variant, n), entry in entries.items():
@@ -148,20 +151,39 @@ def _section(entries: Mapping[tuple[str, int], Entry], levels: Sequence[Entry], 
     for level in levels:
         rows.append([level.policy.label, None, None, None, *(level.s(k) for k in KS), None])
     header = ["policy", "training scenes", "of the train split", "trainings", *(f"S{k} [95 %]" for k in KS), "S1 of the trainings"]
-    return [table(header, rows), *_doubling(entries, labels)]
+    return table(header, rows)
 
 
-def _doubling(entries: Mapping[tuple[str, int], Entry], labels: Mapping[str, str]) -> list[str]:
-    """What twice the scenes are worth: the slope of S1 over the binary logarithm of their number, by least squares."""
-    lines = []
+def doubling_draws(entries: Mapping[int, Entry], bootstrap: SceneBootstrap) -> Draws:
+    """What twice the scenes are worth: the slope of S1 over the binary logarithm of their number, by least squares.
+
+    Args:
+        entries: at least two, by number of scenes; all of the groups that the bootstrap was made for.
+    """
+    x = np.log2(list(entries)) - np.mean(np.log2(list(entries)))
+    weights = x / (x @ x)
+    s1 = [entry.s_draws(1, bootstrap) for entry in entries.values()]
+    draws = np.einsum("k,kd->d", weights, np.stack([own.draws for own in s1]))
+    return Draws(float(weights @ [own.value for own in s1]), draws, s1[0].n, s1[0].n_scenes)
+
+
+def _doubling(
+    entries: Mapping[tuple[str, int], Entry], labels: Mapping[str, str], seed: int, prefix: str
+) -> tuple[list[str], dict[str, float]]:
+    """A line a variant of two sizes or more, and the same among metrics."""
+    lines: list[str] = []
+    metrics: dict[str, float] = {}
     for variant, label in labels.items():
-        known: list[tuple[int, Estimate]] = [
-            (n, s) for (own, n), entry in entries.items() if own == variant and (s := entry.s(1)) is not None
-        ]
-        if len(known) >= 2:
-            slope = float(np.polyfit(np.log2([n for n, _ in known]), [100 * s.value for _, s in known], 1)[0])
-            lines.append(f"- {label}: {slope:+.1f} points of S1 for twice the scenes (least squares over all sizes).")
-    return ["\n".join(lines)] if lines else []
+        own = {n: entry for (name, n), entry in entries.items() if name == variant}
+        scene_ids = next(iter(own.values())).scene_ids
+        if len(own) < 2 or not scene_ids:
+            continue
+        bootstrap = SceneBootstrap(scene_ids, seed)
+        slope = doubling_draws(own, bootstrap)
+        shown = str(slope.estimate()) if bootstrap.is_telling else f"{100 * slope.value:.1f}"
+        metrics |= flat(f"{prefix}.{variant}.s1_of_twice_the_scenes", slope.estimate()) if bootstrap.is_telling else {}
+        lines.append(f"- {label}: {shown} points of S1 for twice the scenes (least squares over all sizes).")
+    return ["\n".join(lines)] if lines else [], metrics
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -72,7 +72,9 @@ def seed_robustness_report(
         for entry in entries:
             metrics |= _metrics(entry, f"{split.value}.{task.value}.{entry.policy.name}")
             points += _points(entry, split)
-        dots = {entry.policy.label: (entry.s_by_training(1), _in_paper(entry, split, is_paper)) for entry in entries}
+        dots: dict[str, tuple[Sequence[float], float | None]] = {
+            entry.policy.label: (entry.s_by_training(1), _in_paper(entry, split, is_paper)) for entry in entries
+        }
         panels[f"$S_1$, {split.value}, {task.value}"] = dots
     figure = dots_figure(panels, f"Every training, {tier}{of_scheme(scheme)}".replace("`", ""), "covered groups [%]")
     blocks += ["![S1 of every training](seed_robustness.png)", "## Every training", _each(points)]

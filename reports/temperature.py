@@ -20,7 +20,7 @@ def logits_of(log_p: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
     log_p = np.minimum(np.asarray(log_p, dtype=np.float64), 0.0)
     with np.errstate(divide="ignore"):
         log_not = np.log(-np.expm1(log_p))
-    return np.clip(log_p - log_not, -_MAX_LOGIT, _MAX_LOGIT)
+    return np.asarray(np.clip(log_p - log_not, -_MAX_LOGIT, _MAX_LOGIT))
 
 
 def negative_log_likelihood(logits: Float[np.ndarray, "n"], happened: Float[np.ndarray, "n"] | Bool[np.ndarray, "n"]) -> float:

@@ -56,7 +56,12 @@ def test_a_point_is_what_the_other_report_says_of_the_same_predictions(
                 assert made.metrics[f"{name}.full.n{n}.s1{end}"] == pytest.approx(alone[f"{name}.ranker.s1{end}"])
     assert len(made.tables["learning_curve-trainings"]) == 2 * 2 * 2
     assert "| Ranker | 9 | 25 % | 2 |" in made.markdown
-    assert "points of S1 for twice the scenes" in made.markdown
+    for task in ("joint", "fixed"):
+        # Two sizes two doublings apart.
+        rise = made.metrics[f"validation.{task}.full.n36.s1"] - made.metrics[f"validation.{task}.full.n9.s1"]
+        slope = f"validation.{task}.full.s1_of_twice_the_scenes"
+        assert made.metrics[slope] == pytest.approx(rise / 2)
+        assert made.metrics[f"{slope}_low"] <= made.metrics[slope] <= made.metrics[f"{slope}_high"]
     assert "test.fixed" not in " ".join(made.metrics)
 
 
