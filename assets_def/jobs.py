@@ -20,7 +20,7 @@ OBJECTS_AND_SHARDS = AssetSelection.groups("objects", *dict.fromkeys(stage.group
 RELEASE = AssetSelection.groups("release")
 RANKERS = AssetSelection.assets("ranker")
 REPORTS = AssetSelection.groups("reports") | AssetSelection.assets(
-    "predictions", "decision_times", "candidate_geometry", "tree_predictions"
+    "predictions", "decision_times", "candidate_geometry", "tree_predictions", "tree_decision_times"
 )
 
 _SHARDS_OF = {"mini": shards_of_tier("mini"), "pilot": shards_of_tier("pilot"), "full": shards_of_tier("full")}

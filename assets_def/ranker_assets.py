@@ -39,14 +39,16 @@ from assets_def.steps import Step
 from model.checkpoint import identity_of, input_errors, is_checkpoint_of, load_checkpoint
 from model.inputs import contract_hash
 from model.networks import settings_named
-from model.scoring import decision_times, score
+from model.scoring import decision_times, score, timing_machine
 from model.settings import Variant, settings_to_dict
 from model.training import train
-from reports.ranking import ranker_timing_rows
+from reports.policies import LEARNED
+from reports.ranking import MACHINE, ranker_timing_rows
 from tables.schemas import PREDICTIONS, TIMINGS
 from tables.store import StoreError, file_sha256, join_tables, table_from_rows
 
 MODEL_CODE_VERSION = "1"
+_TIMED = {policy.variant for policy in LEARNED if policy.group_stage}
 
 
 @multi_asset(
@@ -144,7 +146,7 @@ def _ranker_products(benchmark: Benchmark, partition: str) -> tuple[FilesProduct
         AssetSpec(
             "decision_times",
             deps=[AssetDep("ranker", partition_mapping=rankers_to_tiers), "release"],
-            description="Times how long the full ranker takes to order each group of the test split, from points and poses in memory.",
+            description="Times how long a ranker of each kind takes to order each group of the first scenes of the test split.",
             group_name="ranker",
             code_version=MODEL_CODE_VERSION,
             kinds={"parquet"},
@@ -159,19 +161,27 @@ def predictions(context: AssetExecutionContext, benchmark: Benchmark) -> Iterato
     scores, times = _predictions_products(benchmark, tier)
     checkpoints = [_checkpoint(benchmark, key) for key in rankers_of_tier(tier)]
     yield from scores.publish(lambda: join_tables(PREDICTIONS, [score(release_dir, checkpoint) for checkpoint in checkpoints]))
-    timed = _checkpoint(benchmark, _timed_ranker(tier))
-    yield from times.publish(lambda: table_from_rows(TIMINGS, ranker_timing_rows(decision_times(release_dir, timed))))
+    yield from times.publish(
+        lambda: table_from_rows(
+            TIMINGS,
+            [
+                row
+                for key in _timed_rankers(tier)
+                for row in ranker_timing_rows(decision_times(release_dir, _checkpoint(benchmark, key)), key.variant.value)
+            ],
+        )
+    )
     yield from _predictions_checks(benchmark, tier)
 
 
 def _predictions_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct, TableProduct]:
-    timed = _timed_ranker(tier)
     weights = {key: {f"ranker.{key.variant.value}.{key.seed}": _weights_sha256(benchmark, key)} for key in rankers_of_tier(tier)}
     made_from = {"code": MODEL_CODE_VERSION, "contract": contract_hash(), **release_hashes(benchmark, tier)}
+    timed = {name: sha256 for key in _timed_rankers(tier) for name, sha256 in weights[key].items()} | {MACHINE: timing_machine()}
     all_weights = {name: sha256 for own in weights.values() for name, sha256 in own.items()}
     return (
         TableProduct(PREDICTIONS, benchmark.root.tier_table(tier, "predictions"), made_from | all_weights, tier),
-        TableProduct(TIMINGS, benchmark.root.tier_table(tier, "decision_times"), made_from | weights[timed], tier, "decision_times"),
+        TableProduct(TIMINGS, benchmark.root.tier_table(tier, "decision_times"), made_from | timed, tier, "decision_times"),
     )
 
 
@@ -180,8 +190,13 @@ def _predictions_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckR
     yield schema_check(TIMINGS, benchmark.root.tier_table(tier, "decision_times"), "decision_times")
 
 
-def _timed_ranker(tier: str) -> RankerKey:
-    return next(key for key in rankers_of_tier(tier) if key.variant is Variant.FULL)
+def _timed_rankers(tier: str) -> list[RankerKey]:
+    """The first training of each kind of network that is a policy."""
+    first: dict[Variant, RankerKey] = {}
+    for key in rankers_of_tier(tier):
+        if key.variant.value in _TIMED:
+            first.setdefault(key.variant, key)
+    return list(first.values())
 
 
 def _checkpoint(benchmark: Benchmark, key: RankerKey) -> Path:

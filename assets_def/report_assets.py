@@ -15,7 +15,7 @@ from assets_def.partitions import shards_to_tiers, tier_partitions
 from assets_def.products import FilesProduct, Record
 from assets_def.resources import Benchmark
 from assets_def.steps import Step
-from assets_def.trees_assets import TREE_PREDICTIONS
+from assets_def.trees_assets import TREE_PREDICTIONS, TREE_TIMES
 from reports.kinds import KINDS, N_FILMS
 from reports.report import Report
 from reports.shard_diagnostics import SHARD_TABLES, shard_diagnostics_report
@@ -75,8 +75,8 @@ class ReportKind:
         """Make the report and publish its files."""
         directory = benchmark.report_dir(tier)
         report = self.make(benchmark, tier)
-        markdown = report.write(directory)
-        return [markdown, directory / f"{self.name}.json", *(directory / f"{stem}.png" for stem in report.figures)], {}
+        report.write(directory)
+        return [directory / name for name in report.files()], {}
 
 
 def _made(name: str) -> Callable[[Benchmark, str], Report]:
@@ -95,6 +95,8 @@ def _shard_diagnostics(benchmark: Benchmark, tier: str) -> Report:
     return shard_diagnostics_report({name: read_tables(ALL_SCHEMAS[name], paths[name]) for name in SHARD_TABLES}, tier=tier)
 
 
+_SCORES = ("predictions", TREE_PREDICTIONS)
+_TIMES = ("decision_times", TREE_TIMES)
 PROFILE = ReportKind(
     "profile", "Counts, statuses, coverage and the ladder of policies that learn nothing.", _made("profile"), reads_timings=True
 )
@@ -113,8 +115,27 @@ REPORTS = (
         "success_at_k",
         "S_K of every policy on both tasks, which of them differ, the paper beside ours.",
         _made("success_at_k"),
-        ("predictions", "decision_times", TREE_PREDICTIONS),
+        (*_SCORES, *_TIMES),
         reads_timings=True,
+    ),
+    ReportKind(
+        "planner_calls",
+        "Planner calls until the first plan of every order, and seconds a group against planning everything.",
+        _made("planner_calls"),
+        (*_SCORES, *_TIMES),
+        reads_timings=True,
+    ),
+    ReportKind("seed_robustness", "S_K of every training of the learned policies, mean and deviation.", _made("seed_robustness"), _SCORES),
+    ReportKind("solvability", "Whether the learned policies know that a group holds no success at all.", _made("solvability"), _SCORES),
+    ReportKind(
+        "calibration", "Whether predicted probabilities mean what they say, before and after a temperature.", _made("calibration"), _SCORES
+    ),
+    ReportKind(
+        "errors",
+        "The groups that the local ranker gets most wrong, with films, and what becomes of first choices that fail.",
+        _made("errors"),
+        _SCORES,
+        parameters=N_FILMS,
     ),
     ReportKind("ablation", "The ranker and three ablations on the validation split.", _made("ablation"), ("predictions",)),
     ReportKind(

@@ -12,17 +12,22 @@ from assets_def.partitions import tier_partitions
 from assets_def.products import TableProduct
 from assets_def.resources import Benchmark
 from assets_def.steps import Step
+from model.decision_times import machine_name
 from model.features import CANDIDATE_GEOMETRY
 from model.geometry import geometry_table
 from model.inputs import contract_hash
-from model.trees import TreeData, read_tree_data
-from reports.trees_probe import tree_predictions
-from tables.schemas import PREDICTIONS
+from model.tree_times import tree_decision_times
+from model.trees import TreeData, Trees, TreeVariant, predicted, read_tree_data, split_trees
+from reports.ranking import MACHINE, ranker_timing_rows
+from tables.schemas import PREDICTIONS, TIMINGS
+from tables.store import join_tables, table_from_rows
 
+_MODULES = ("distances", "features", "geometry", "hand", "inputs", "trees")
 # Minutes at most: any change of geometry or trees makes both tables anew.
-TREES_CODE_VERSION = source_version(*(f"model/{name}.py" for name in ("distances", "features", "geometry", "hand", "inputs", "trees")))
+TREES_CODE_VERSION = source_version(*(f"model/{name}.py" for name in _MODULES))
 TREES_SEED = 42
 TREE_PREDICTIONS = "tree_predictions"
+TREE_TIMES = "tree_decision_times"
 
 
 @multi_asset(
@@ -44,8 +49,20 @@ TREE_PREDICTIONS = "tree_predictions"
             code_version=TREES_CODE_VERSION,
             kinds={"parquet", "scikitlearn"},
         ),
+        AssetSpec(
+            TREE_TIMES,
+            deps=["release"],
+            description="Times how long the trees on derived geometry take to order each group of the first scenes of the test split.",
+            group_name="ranker",
+            code_version=TREES_CODE_VERSION,
+            kinds={"parquet", "scikitlearn"},
+        ),
     ],
-    check_specs=[schema_check_spec(CANDIDATE_GEOMETRY), schema_check_spec(PREDICTIONS, TREE_PREDICTIONS)],
+    check_specs=[
+        schema_check_spec(CANDIDATE_GEOMETRY),
+        schema_check_spec(PREDICTIONS, TREE_PREDICTIONS),
+        schema_check_spec(TIMINGS, TREE_TIMES),
+    ],
     partitions_def=tier_partitions,
 )
 def trees(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
@@ -56,25 +73,35 @@ def trees(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[Mate
     def data() -> TreeData:
         return read_tree_data(release_dir)
 
-    geometry, scores = _trees_products(benchmark, tier)
+    @cache
+    def fitted(variant: TreeVariant) -> Trees:
+        return split_trees(release_dir, data(), variant, TREES_SEED)
+
+    geometry, scores, times = _trees_products(benchmark, tier)
     yield from geometry.publish(lambda: geometry_table(data().inputs, data().geometry))
-    yield from scores.publish(lambda: tree_predictions(release_dir, data(), TREES_SEED, None))
+    yield from scores.publish(lambda: join_tables(PREDICTIONS, [predicted(fitted(each), data(), TREES_SEED) for each in TreeVariant]))
+    timed = TreeVariant.GEOMETRY
+    yield from times.publish(
+        lambda: table_from_rows(TIMINGS, ranker_timing_rows(tree_decision_times(release_dir, fitted(timed)), timed.value))
+    )
     yield from _trees_checks(benchmark, tier)
 
 
-def _trees_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct, TableProduct]:
+def _trees_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct, TableProduct, TableProduct]:
     made_from = {"code": TREES_CODE_VERSION, "contract": contract_hash(), **release_hashes(benchmark, tier)}
     trained = {"seed": str(TREES_SEED), "engine.scikit-learn": metadata.version("scikit-learn")}
-    geometry_path, scores_path = (benchmark.root.tier_table(tier, name) for name in (CANDIDATE_GEOMETRY.name, TREE_PREDICTIONS))
+    paths = [benchmark.root.tier_table(tier, name) for name in (CANDIDATE_GEOMETRY.name, TREE_PREDICTIONS, TREE_TIMES)]
     return (
-        TableProduct(CANDIDATE_GEOMETRY, geometry_path, made_from, tier),
-        TableProduct(PREDICTIONS, scores_path, made_from | trained, tier, TREE_PREDICTIONS),
+        TableProduct(CANDIDATE_GEOMETRY, paths[0], made_from, tier),
+        TableProduct(PREDICTIONS, paths[1], made_from | trained, tier, TREE_PREDICTIONS),
+        TableProduct(TIMINGS, paths[2], made_from | trained | {MACHINE: machine_name()}, tier, TREE_TIMES),
     )
 
 
 def _trees_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult]:
     yield schema_check(CANDIDATE_GEOMETRY, benchmark.root.tier_table(tier, CANDIDATE_GEOMETRY.name))
     yield schema_check(PREDICTIONS, benchmark.root.tier_table(tier, TREE_PREDICTIONS), TREE_PREDICTIONS)
+    yield schema_check(TIMINGS, benchmark.root.tier_table(tier, TREE_TIMES), TREE_TIMES)
 
 
 trees_assets = [trees]

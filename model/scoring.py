@@ -9,7 +9,6 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +17,11 @@ import torch
 from jaxtyping import Float, Int
 
 from model.checkpoint import load_checkpoint
+from model.decision_times import N_TIMED_SCENES, DecisionTime, machine_name, timed_groups
 from model.determinism import deterministic, device_named
 from model.errors import CheckpointError, InputError, RankerError, SettingsError
 from model.grouping import Grouping
-from model.inputs import InputReader, ReleaseInputs, read_inputs, restricted, scenes_of_split
+from model.inputs import InputReader, ReleaseInputs, read_inputs, scenes_of_split
 from model.networks import Network, encode
 from model.outputs import check_writable, writing
 from model.ranker import Prediction
@@ -31,21 +31,6 @@ from tables.schemas import PREDICTIONS
 from tables.store import sidecar_path, table_from_columns, write_table
 
 _GROUPS_AT_ONCE = 32  # bounds memory; a cloud's feature does not depend on which clouds share its batch
-
-
-@dataclass(frozen=True, slots=True)
-class DecisionTime:
-    """Time to order one group, from the scene's points and poses in memory to scores; reading files is not in it.
-
-    `prepare_s` samples the cloud, adds the target copies and finds neighbours on the CPU; `forward_s` runs the network on the device.
-    """
-
-    task: str  # joint or fixed
-    scene_id: str
-    target_id: int | None  # None in the joint task
-    n_candidates: int
-    prepare_s: float
-    forward_s: float
 
 
 def score(release_dir: Path, checkpoint_dir: Path, device: str = "auto", splits: Sequence[str] | None = None) -> pa.Table:
@@ -98,33 +83,29 @@ def predict(ranker: Network, release: Grouping, groups: Int[np.ndarray, "g"]) ->
 
 
 def decision_times(
-    release_dir: Path, checkpoint_dir: Path, split: str = "test", n_scenes: int = 20, device: str = "auto"
+    release_dir: Path, checkpoint_dir: Path, split: str = "test", n_scenes: int = N_TIMED_SCENES, device: str = "auto"
 ) -> list[DecisionTime]:
     """Decision time of the joint group and of every fixed-target group of the first `n_scenes` scenes of a split of the ranker's scheme.
 
-    Wall-clock, one group at a time, the device synchronised before and after; the first scene is decided once beforehand, unmeasured.
+    Wall-clock, one group at a time, the device synchronised before and after.
     """
     ranker, identity, _ = load_checkpoint(checkpoint_dir)
     chosen_device = device_named(device)
     ranker = ranker.to(chosen_device)
     reader = InputReader(release_dir, identity.split_scheme)
     inputs = read_inputs(reader, scenes_of_split(reader, split)[:n_scenes])
-    times = []
     with deterministic(identity.settings, chosen_device):
-        for scene, cloud in enumerate(inputs.clouds):
-            groups = np.flatnonzero(inputs.group_scene == scene)
-            if scene == 0:
-                _timed(ranker, restricted(inputs, groups))
-            n, prepare_s, forward_s = _timed(ranker, restricted(inputs, groups))
-            times.append(DecisionTime("joint", cloud.scene_id, None, n, prepare_s, forward_s))
-            for group in groups:
-                n, prepare_s, forward_s = _timed(ranker, restricted(inputs, np.array([group])))
-                times.append(DecisionTime("fixed", cloud.scene_id, int(inputs.group_target_id[group]), n, prepare_s, forward_s))
-    return times
+        return timed_groups(inputs, lambda group: _timed(ranker, group))
 
 
-def _timed(ranker: Network, inputs: ReleaseInputs) -> tuple[int, float, float]:
-    """(candidates, seconds to prepare, seconds to run the network)."""
+def timing_machine(device: str = "auto") -> str:
+    """The machine that decides: its processor, and the accelerator where a network would run on one."""
+    chosen_device = device_named(device)
+    return machine_name() + (f", {torch.cuda.get_device_name(chosen_device)}" if chosen_device.type == "cuda" else "")
+
+
+def _timed(ranker: Network, inputs: ReleaseInputs) -> tuple[float, float]:
+    """(seconds to prepare, seconds to run the network)."""
     device = next(ranker.parameters()).device
     start_s = time.perf_counter()
     release = encode(inputs, ranker.settings, ranker.variant)
@@ -134,7 +115,7 @@ def _timed(ranker: Network, inputs: ReleaseInputs) -> tuple[int, float, float]:
     with torch.inference_mode():
         ranker(x).score.cpu()
     _synchronise(device)
-    return len(inputs.candidate_ids), prepared_s - start_s, time.perf_counter() - prepared_s
+    return prepared_s - start_s, time.perf_counter() - prepared_s
 
 
 def _synchronise(device: torch.device) -> None:

@@ -131,15 +131,24 @@ def fit_trees(
     return Trees(variant, heads[0], heads[1])
 
 
+def split_trees(release_dir: Path, data: TreeData, variant: TreeVariant, seed: int, scheme: SplitScheme = SplitScheme.SCENE) -> Trees:
+    """Trees that saw the train split of a scheme alone; raises as `fit_trees`, and TrainingError where that split is empty."""
+    train = data.of_scenes(scenes_of_split(InputReader(release_dir, scheme), Split.TRAIN.value))
+    if not train.any():
+        raise TrainingError(f"{release_dir}: the train split of scheme {scheme.value} has 0 candidates, must have at least 1")
+    return fit_trees(data.geometry[train], _rows(data.labels, train), variant, seed)
+
+
+def predicted(trees: Trees, data: TreeData, seed: int) -> pa.Table:
+    """Rows of `predictions` for every candidate, by trees that were fitted with a seed."""
+    return _predictions(data.inputs, trees.log_probabilities(data.geometry), trees.variant, seed)
+
+
 def split_predictions(
     release_dir: Path, data: TreeData, variant: TreeVariant, seed: int, scheme: SplitScheme = SplitScheme.SCENE
 ) -> pa.Table:
     """Rows of `predictions` for every candidate, by trees that saw the train split of a scheme alone."""
-    train = data.of_scenes(scenes_of_split(InputReader(release_dir, scheme), Split.TRAIN.value))
-    if not train.any():
-        raise TrainingError(f"{release_dir}: the train split of scheme {scheme.value} has 0 candidates, must have at least 1")
-    trees = fit_trees(data.geometry[train], _rows(data.labels, train), variant, seed)
-    return _predictions(data.inputs, trees.log_probabilities(data.geometry), variant, seed)
+    return predicted(split_trees(release_dir, data, variant, seed, scheme), data, seed)
 
 
 def cross_validated_predictions(data: TreeData, variant: TreeVariant, seed: int, n_folds: int) -> pa.Table:

@@ -97,11 +97,18 @@ def entries_of(
     frame: pl.DataFrame, predictions: pl.DataFrame | None, task: Task, timings: pl.DataFrame, policies: Sequence[Policy] = LEARNED
 ) -> list[Entry]:
     """The policies that learn nothing, then those of the learned ones that there are predictions of."""
-    entries = [entry_of(policy, task, frame, timings) for policy in UNLEARNED]
-    for policy in policies:
-        frames = prediction_frames(frame, predictions, policy.variant)
-        entries += [entry_of(policy, task, frames, timings)] if frames else []
-    return entries
+    return [
+        *(entry_of(policy, task, frame, timings) for policy in UNLEARNED),
+        *learned_entries(frame, predictions, task, timings, policies),
+    ]
+
+
+def learned_entries(
+    frame: pl.DataFrame, predictions: pl.DataFrame | None, task: Task, timings: pl.DataFrame, policies: Sequence[Policy] = LEARNED
+) -> list[Entry]:
+    """Those of the learned policies that there are predictions of."""
+    frames = {policy: prediction_frames(frame, predictions, policy.variant) for policy in policies}
+    return [entry_of(policy, task, own, timings) for policy, own in frames.items() if own]
 
 
 def comparison(entries: Sequence[Entry], seed: int, prefix: str) -> tuple[str, dict[str, float]]:

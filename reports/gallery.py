@@ -33,7 +33,7 @@ _OBJECT_PX = (300, 225)
 _FRAME_PX = (240, 180)
 _TITLE_PX = (960, 480)
 _GHOST_OPACITY = 0.5
-_N_FRAMES = 6
+FRAMES_OF_FILM = 6
 _N_SCENES = 12
 _N_GRASPS_DRAWN = 8
 _GRASP_RGBS = ((0.0, 0.45, 0.70), (0.90, 0.62, 0.0), (0.0, 0.62, 0.45), (0.80, 0.47, 0.65), (0.34, 0.71, 0.91), (0.84, 0.37, 0.0))
@@ -72,7 +72,7 @@ def gallery_report(tables: Mapping[str, pa.Table], recipe: Recipe | None, *, tie
     if recipe is None:
         blocks.append(f"## Executions\n\nNo films: {why_no_films}.")
     for status, strips in _films(tables, release, recipe, n_films).items() if recipe is not None else ():
-        figures[f"gallery-{status}"] = sheet(strips, _N_FRAMES)
+        figures[f"gallery-{status}"] = sheet(strips, FRAMES_OF_FILM)
         blocks += [f"## Executions that ended as {status.replace('_', ' ')}", f"![{status}](gallery-{status}.png)"]
     return Report("gallery", "\n\n".join(blocks) + "\n", figures)
 
@@ -187,19 +187,20 @@ def _films(tables: Mapping[str, pa.Table], release: Decoded, recipe: Recipe, n_f
         status.value: [
             tile
             for name in sorted(names, key=lambda name: order_key(recipe.seed, "gallery", name))[:n_films]
-            for tile in _film(release, name, recipe)
+            for tile in film(release, name, recipe)
         ]
         for status, names in by_status.items()
         if names
     }
 
 
-def _film(release: Decoded, candidate_id: str, recipe: Recipe) -> list[Tile]:
+def film(release: Decoded, candidate_id: str, recipe: Recipe) -> list[Tile]:
+    """`FRAMES_OF_FILM` frames of a stored plan that is executed again; raises ReportError for a candidate without a plan."""
     candidate, plan = release.candidate(candidate_id), release.plan(candidate_id)
     if plan is None:
         raise ReportError(f"{candidate_id}: was executed, but has no row in plans")
     motion = motion_of(candidate, plan, recipe.planning)
     recording = record_execution(release.object_model_of(candidate), candidate, motion, recipe.execution_setup)
-    frames = execution_frames(recording, _N_FRAMES, _FRAME_PX)
+    frames = execution_frames(recording, FRAMES_OF_FILM, _FRAME_PX)
     tiles = [Tile(frame.picture, f"{frame.phase.value} {frame.time_s:.2f} s") for frame in frames]
     return [Tile(tiles[0].picture, f"{candidate_id} {tiles[0].caption}"), *tiles[1:]]

@@ -7,21 +7,30 @@ from dataclasses import dataclass, field
 
 import pyarrow as pa
 
+from pipelines.recipe import Recipe
 from reports.ablation import VARIANTS, ablation_report
 from reports.audit import audit_report
+from reports.calibration_report import calibration_report
 from reports.ceiling import ceiling_report
+from reports.error_analysis import Films, errors_report
 from reports.gallery import gallery_report
+from reports.learning_curve import learning_curve_report
 from reports.load import Task, check_parts
-from reports.policies import prediction_seeds
+from reports.planner_calls import Costs, planner_calls_report
+from reports.planner_costs import planner_costs
+from reports.policies import LEARNED, TREES, TREES_POSES, prediction_seeds
 from reports.profile import profile_report
+from reports.ranking import MACHINE, timing_frame
 from reports.repeatability import repeatability_report
 from reports.report import Report, ReportError
+from reports.seed_robustness import seed_robustness_report
 from reports.shard_diagnostics import shard_diagnostics_report
+from reports.solvability import solvability_report
 from reports.sources import Sources
 from reports.success_at_k import DESIGNATED_SEED, success_at_k_report
 from reports.trees_probe import trees_probe_report
 from splits.release_laws import stage_tables
-from tables.schemas import OBJECT_TABLES, PREDICTIONS
+from tables.schemas import OBJECT_TABLES, PREDICTIONS, TIMINGS
 from tables.store import join_tables
 from tables.vocabulary import Split, SplitScheme
 
@@ -29,6 +38,9 @@ from tables.vocabulary import Split, SplitScheme
 N_FILMS = {"mini": 1, "pilot": 3, "full": 3}
 
 _RANKED = ("candidates", "splits", "scenes", "targets", "policy_features")
+_TIMES = ("decision_times", "tree_decision_times")
+_LEARNED = (*_RANKED, "predictions")
+_VARIANTS = tuple(policy.variant for policy in LEARNED if policy not in (TREES, TREES_POSES))
 _PICTURED = (*OBJECT_TABLES, "scenes", "obstacles", "targets", "grasps", "candidates")
 
 
@@ -76,16 +88,33 @@ def _profile(sources: Sources) -> Report:
 
 
 def _gallery(sources: Sources) -> Report:
-    """With films where there are plans and this code has the recipe that they were made with: a film runs a plan again."""
-    tables, recipe, why_not = sources.tables((*_PICTURED, *sources.there(["plans"]))), None, ""
-    if "plans" not in tables:
-        why_not = "table `plans` is left out of this release; `make plans` makes it again"
-    else:
-        try:
-            recipe = sources.recipe()
-        except ReportError as error:
-            why_not = str(error)
+    tables, (recipe, why_not) = sources.tables((*_PICTURED, *sources.there(["plans"]))), _recipe_of_films(sources)
     return gallery_report(tables, recipe, tier=sources.tier, n_films=N_FILMS[sources.tier], why_no_films=why_not)
+
+
+def _recipe_of_films(sources: Sources) -> tuple[Recipe | None, str]:
+    """There are films where there are plans and this code has the recipe that they were made with: a film runs a plan again."""
+    if not sources.there(["plans"]):
+        return None, "table `plans` is left out of this release; `make plans` makes it again"
+    try:
+        return sources.recipe(), ""
+    except ReportError as error:
+        return None, str(error)
+
+
+def _learning_curve(sources: Sources) -> Report:
+    return learning_curve_report(sources.tables(_RANKED), sources.table("learning_curve"), tier=sources.tier, seed=sources.seed)
+
+
+def _errors(sources: Sources) -> Report:
+    tables, predictions, (recipe, why_not) = _judged(sources, Split.TEST), _all_predictions(sources), _recipe_of_films(sources)
+    lacks = [text for name in _PICTURED if (text := sources.missing(name))]
+    if recipe is not None and not lacks:
+        films = Films(sources.tables((*_PICTURED, "plans")), recipe, N_FILMS[sources.tier])
+    else:
+        films = Films(why_not="; ".join([why_not] if why_not else lacks))
+    assert predictions is not None
+    return errors_report(tables, predictions, films, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
 
 
 def _repeatability(sources: Sources) -> Report:
@@ -98,8 +127,42 @@ def _audit(sources: Sources) -> Report:
 
 def _success_at_k(sources: Sources) -> Report:
     tables = _judged(sources, Split.VALIDATION, Split.TEST) | sources.tables(sources.there(["timings"]))
-    scores, times = _all_predictions(sources), sources.tables(sources.there(["decision_times"])).get("decision_times")
-    return success_at_k_report(tables, scores, times, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
+    scores, (times, machine) = _all_predictions(sources), _decision_times(sources)
+    return success_at_k_report(tables, scores, times, tier=sources.tier, seed=sources.seed, scheme=sources.scheme, machine=machine)
+
+
+def _planner_calls(sources: Sources) -> Report:
+    """Planning costs come from the table of that name, else from the timings of a whole release."""
+    tables, (times, machine) = _judged(sources, Split.TEST), _decision_times(sources)
+    timings = sources.tables(sources.there(["timings"]))
+    why_not, planning = "", None
+    if sources.there(["planner_costs"]):
+        planning = sources.table("planner_costs")
+    elif timings:
+        planning = planner_costs(timings["timings"], tables["candidates"])
+    else:
+        lacks = f"{sources.missing('planner_costs')}, and {sources.missing('timings')}"
+        why_not = f"{lacks}; `python -m reports.planner_costs` makes the one from the other"
+    costs = Costs(timing_frame(timings, times), planning, machine, why_not)
+    scores = _all_predictions(sources)
+    return planner_calls_report(tables, scores, costs, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
+
+
+def _decision_times(sources: Sources) -> tuple[pa.Table | None, str]:
+    """Those of the networks and those of the trees, as far as they are there, and the machines that they were measured on."""
+    there = sources.there(_TIMES)
+    machines = dict.fromkeys(machine for name in there if (machine := sources.origin(name, MACHINE)))
+    return (join_tables(TIMINGS, [sources.table(name) for name in there]) if there else None), " and ".join(machines)
+
+
+def _of_learned(make: Callable[..., Report], *needed: Split) -> Callable[[Sources], Report]:
+    """A report on the learned policies alone, made of what they predict."""
+
+    def made(sources: Sources) -> Report:
+        tables, predictions = _judged(sources, *needed), _all_predictions(sources)
+        return make(tables, predictions, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
+
+    return made
 
 
 def _ablation(sources: Sources) -> Report:
@@ -146,10 +209,51 @@ KINDS = {
             "success_at_k",
             _RANKED,
             _success_at_k,
-            ("predictions", "tree_predictions", "decision_times", "timings"),
+            ("predictions", "tree_predictions", *_TIMES, "timings"),
             shown_parts={"predictions": ("full",), "decision_times": tuple(Task)},
             by_split=True,
         ),
+        Kind(
+            "planner_calls",
+            _RANKED,
+            _planner_calls,
+            ("predictions", "tree_predictions", *_TIMES, "planner_costs"),
+            shown_parts={"predictions": _VARIANTS, "decision_times": tuple(Task)},
+            by_split=True,
+        ),
+        Kind(
+            "seed_robustness",
+            _LEARNED,
+            _of_learned(seed_robustness_report, Split.VALIDATION, Split.TEST),
+            ("tree_predictions",),
+            shown_parts={"predictions": _VARIANTS},
+            by_split=True,
+        ),
+        Kind(
+            "solvability",
+            _LEARNED,
+            _of_learned(solvability_report, Split.VALIDATION, Split.TEST),
+            ("tree_predictions",),
+            shown_parts={"predictions": _VARIANTS},
+            by_split=True,
+        ),
+        Kind(
+            "calibration",
+            _LEARNED,
+            _of_learned(calibration_report, Split.VALIDATION, Split.TEST),
+            ("tree_predictions",),
+            shown_parts={"predictions": _VARIANTS},
+            by_split=True,
+        ),
+        Kind(
+            "errors",
+            _LEARNED,
+            _errors,
+            ("tree_predictions", "plans"),
+            shown_parts={"predictions": _VARIANTS},
+            by_split=True,
+        ),
+        Kind("learning_curve", (*_RANKED, "learning_curve"), _learning_curve),
         Kind("ablation", (*_RANKED, "predictions"), _ablation, shown_parts={"predictions": tuple(VARIANTS)}, by_split=True),
         Kind(
             "trees_probe",

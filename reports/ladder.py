@@ -1,16 +1,14 @@
-"""The ladder of policies on one task: table of S_K beside the paper's, planner calls, and the same as metrics and bars of a figure."""
+"""The ladder of policies on one task: table of S_K beside the paper's, and the same as metrics and bars of a figure."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from reports import paper
 from reports.entries import Entry, flat
 from reports.figures import LadderBar
 from reports.metrics import Estimate, expected_random_success
-from reports.policies import FULL_PLANNER, ORACLE, PLAN_HEAD_ONLY, POLICIES, RANDOM, RANKER
+from reports.policies import ORACLE, PLAN_HEAD_ONLY, POLICIES, RANDOM
 from reports.ranking import KS
 from splits.markdown import table
 
@@ -21,25 +19,6 @@ def ladder_table(entries: Sequence[Entry], *, is_in_paper: bool) -> str:
     rows.insert(1, _expected_row(entries[0], is_in_paper))
     header = ["policy", *(cell for k in KS for cell in _with_paper(is_in_paper, f"S{k} [95 %]", "paper"))]
     return table([*header, *_with_paper(is_in_paper, "s / group", "paper")], rows)
-
-
-def calls_table(entries: Sequence[Entry], *, is_in_paper: bool) -> str:
-    """How many candidates are planned until a plan is found, over all trainings."""
-    rows: list[list[str | None]] = []
-    for entry in entries:
-        if entry.policy in (FULL_PLANNER, ORACLE):
-            continue  # the one plans everything before it tries anything, the other knows
-        calls = np.concatenate([ranking.ranks["first_plan"].drop_nulls().to_numpy() for ranking in entry.rankings])
-        if not len(calls):
-            continue
-        theirs = None
-        if entry.policy is RANKER:
-            theirs = f"{paper.PLANNER_CALLS_MEAN[entry.task]:.2f} / {paper.PLANNER_CALLS_MEDIAN} / {paper.PLANNER_CALLS_P90}"
-        median, p90 = np.median(calls), np.quantile(calls, 0.9, method="higher")
-        ours = f"{calls.mean():.2f} / {median:g} / {p90:g}"
-        rows.append([entry.policy.label, *_with_paper(is_in_paper, ours, theirs), f"{len(calls) // len(entry.rankings):,}"])
-    header = ["planner calls until the first plan", *_with_paper(is_in_paper, "mean / median / p90", "paper"), "groups with a plan"]
-    return table(header, rows)
 
 
 def ladder_metrics(prefix: str, entries: Sequence[Entry], covered: Estimate | None) -> dict[str, float]:

@@ -60,9 +60,9 @@ FULL_PLANNER = Policy(
 )
 RANKER = Policy("ranker", "Ranker", (-pl.col("score"),), group_stage="ranker", variant="full")
 LOCAL = Policy("local", "Local ranker", (-pl.col("score"),), group_stage="local", variant="local")
-TREES = Policy("trees", "Trees, derived geometry", (-pl.col("score"),), variant="trees")
+TREES = Policy("trees", "Trees, derived geometry", (-pl.col("score"),), group_stage="trees", variant="trees")
 TREES_POSES = Policy("trees_poses", "Trees, raw poses", (-pl.col("score"),), variant="trees_poses")
-POSE_ONLY = Policy("pose_only", "Pose-only network", (-pl.col("score"),), variant="pose_only")
+POSE_ONLY = Policy("pose_only", "Pose-only network", (-pl.col("score"),), group_stage="pose_only", variant="pose_only")
 
 UNLEARNED = (RANDOM, IK_ONLY, GRIPPER_ONLY, IK_AND_GRIPPER, FULL_PLANNER)
 LEARNED = (RANKER, LOCAL, TREES, TREES_POSES, POSE_ONLY)
@@ -116,7 +116,7 @@ class DecisionCost:
 def decision_cost(policy: Policy, candidates: pl.DataFrame, timings: pl.DataFrame, task: Task) -> DecisionCost | None:
     """What ordering a group costs; None where a policy computes nothing or was not measured.
 
-    A policy that judges candidates pays for every candidate of a group, so it must have been timed on all of them. The ranker is timed by
+    A policy that judges candidates pays for every candidate of a group, so it must have been timed on all of them. Rankers are timed by
     the group (items `<scene_id>` and `<scene_id>-t<target_id>`), on a sample of them if need be.
 
     Args:

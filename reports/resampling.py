@@ -80,13 +80,28 @@ class SceneBootstrap:
         rows = np.atleast_2d(np.asarray(values, dtype=np.float64))
         sums = np.stack([np.bincount(self._scene, weights=row, minlength=self.n_scenes) for row in rows])
         by_training = (self._weights @ sums.T) / (self._weights @ self._n_units)[:, None]
-        r = len(rows)
-        if r > 1:
-            shares = rng_for(self._seed, "bootstrap-trainings", name, r).multinomial(r, np.full(r, 1.0 / r), size=N_DRAWS) / r
-            drawn = np.einsum("dr,dr->d", by_training, shares)
-        else:
-            drawn = by_training[:, 0]
-        return Draws(float(rows.mean()), drawn, rows.shape[1], self.n_scenes)
+        return Draws(float(rows.mean()), self._over_trainings(by_training, name), rows.shape[1], self.n_scenes)
+
+    def sums(self, values: Float[np.ndarray, "n b"]) -> Float[np.ndarray, "d b"]:
+        """Sums over the units of each draw, a column a kind of value: for what is no mean."""
+        by_scene = np.zeros((self.n_scenes, values.shape[1]))
+        np.add.at(by_scene, self._scene, values)
+        return np.asarray(self._weights @ by_scene)
+
+    def mean_of(self, trainings: Sequence[Draws], name: str = "") -> Draws:
+        """Mean of a number that was resampled with these draws for each training of a policy, the trainings resampled too."""
+        by_training = np.stack([own.draws for own in trainings], axis=1)
+        return Draws(
+            float(np.mean([own.value for own in trainings])), self._over_trainings(by_training, name), trainings[0].n, self.n_scenes
+        )
+
+    def _over_trainings(self, by_training: Float[np.ndarray, "e r"], name: str) -> Float[np.ndarray, "e"]:
+        """Mean over as many trainings as there are, drawn with replacement; draws of scenes that gave no number are left out before."""
+        r = by_training.shape[1]
+        if r == 1:
+            return by_training[:, 0]
+        shares = rng_for(self._seed, "bootstrap-trainings", name, r).multinomial(r, np.full(r, 1.0 / r), size=N_DRAWS) / r
+        return np.asarray(np.einsum("dr,dr->d", by_training, shares[: len(by_training)]))
 
 
 def paired_difference(

@@ -17,7 +17,7 @@ from splits.release_folder import left_out_error
 from splits.release_reader import Release
 from tables.columns import TableSchema
 from tables.identity import family_of_tier
-from tables.schemas import ATTEMPTS, AUDITS, PREDICTIONS, TEST_REPLICATES, TIMINGS
+from tables.schemas import ATTEMPTS, AUDITS, LEARNING_CURVE, PLANNER_COSTS, PREDICTIONS, TEST_REPLICATES, TIMINGS
 from tables.store import read_sidecar, read_table
 from tables.vocabulary import SplitScheme
 
@@ -27,6 +27,9 @@ BESIDE: dict[str, TableSchema] = {
     "predictions": PREDICTIONS,
     "decision_times": TIMINGS,
     "tree_predictions": PREDICTIONS,
+    "tree_decision_times": TIMINGS,
+    "planner_costs": PLANNER_COSTS,
+    "learning_curve": LEARNING_CURVE,
     "attempts": ATTEMPTS,
     "audits": AUDITS,
     "test_replicates": TEST_REPLICATES,
@@ -94,6 +97,10 @@ class Sources:
         if BESIDE[name] is PREDICTIONS:
             check_scheme(path, made_from, self.scheme)
         return read_table(BESIDE[name], path, verify=True)
+
+    def origin(self, name: str, what: str) -> str:
+        """What the sidecar of a table about the release says of its making, such as the machine; "" where it says nothing."""
+        return read_sidecar(self.path(name)).made_from.get(what, "")
 
     def tables(self, names: Iterable[str]) -> dict[str, pa.Table]:
         """Some tables by name; raises as `table` does."""

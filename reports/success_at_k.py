@@ -17,21 +17,23 @@ from reports import paper
 from reports.command import Asked, report_command
 from reports.entries import Entry, comparison, entries_of, entry_of, prediction_frames
 from reports.figures import ladder_figure
-from reports.ladder import calls_table, ladder_bars, ladder_metrics, ladder_table
+from reports.ladder import ladder_bars, ladder_metrics, ladder_table
 from reports.load import Task, candidate_frame, group_frame, of_scheme, scheme_note
-from reports.metrics import MIN_SCENES, Estimate, coverage, spread_of
-from reports.policies import LEARNED, ORACLE, PLAN_HEAD_ONLY, RANKER, Policy, prediction_seeds, with_predictions
-from reports.ranking import KS, TASK_TITLE, timing_frame
+from reports.metrics import MIN_SCENES, Estimate, coverage
+from reports.policies import LEARNED, ORACLE, PLAN_HEAD_ONLY, RANKER, Policy, prediction_seeds
+from reports.ranking import TASK_TITLE, timing_frame
 from reports.report import Report
-from reports.solvability import solvability_section
 from reports.strata import strata_section
-from splits.markdown import table
 from tables.vocabulary import Split, SplitScheme
 
-# The paper compares policies with one checkpoint that was designated beforehand; solvability does so here.
+# The paper compares policies with one checkpoint that was designated beforehand; what is told of single groups and trees is of it here.
 DESIGNATED_SEED = 42
 
 _SPLITS = ("test", "validation", "all")
+_ELSEWHERE = (
+    "More on the learned policies is in reports `seed_robustness` (every training), `solvability` (groups without a success),"
+    " `planner_calls` (what a ranking saves), `calibration`, `errors` and `learning_curve`."
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,16 +57,18 @@ def success_at_k_report(
     tier: str,
     seed: int,
     scheme: SplitScheme = SplitScheme.SCENE,
+    machine: str = "",
 ) -> Report:
     """Report `success_at_k`.
 
     Args:
         tables: a release: `candidates`, `splits`, `scenes`, `targets`, `policy_features`, and `timings` where decision times are wanted.
         predictions: table `predictions` of any learned policies (`policies.LEARNED`), any seeds; those without are left out.
-        ranker_timings: table `timings` with the stage `ranker`, see `ranking.ranker_timing_rows`.
+        ranker_timings: table `timings` of learned policies, see `ranking.ranker_timing_rows`.
         tier: printed in the title.
         seed: seed of the hash order and the resampling.
         scheme: by what scenes are dealt to the splits; the one that the rankers of `predictions` were trained under.
+        machine: on which `ranker_timings` were measured.
     """
     frame = candidate_frame(tables, seed, scheme)
     scores = None if predictions is None else frame_of(predictions)
@@ -72,29 +76,21 @@ def success_at_k_report(
     groups = {task: group_frame(tables, task, scheme) for task in Task}
     inputs = _Inputs(tier, scheme, seed, frame, scores, groups, timing_frame(tables, ranker_timings))
 
-    blocks = [f"# S_K on tier {tier}{of_scheme(scheme)}", *scheme_note(scheme), _introduction(seeds, scheme)]
+    blocks = [f"# S_K on tier {tier}{of_scheme(scheme)}", *scheme_note(scheme), _introduction(seeds, scheme, machine)]
     metrics: dict[str, float] = {}
     figures: dict[str, bytes] = {}
-    entries: dict[tuple[str, Task], list[Entry]] = {}
     for split in _SPLITS:
-        for task in Task:
-            entries[split, task] = _entries(inputs, split, task)
-        section, values, png = _split_section(inputs, split, {task: entries[split, task] for task in Task})
+        section, values, png = _split_section(inputs, split, {task: _entries(inputs, split, task) for task in Task})
         stem = f"success_at_k-{split}"
         blocks += [*section, f"![S_K of the policies with 95 % intervals]({stem}.png)"]
         metrics |= values
         figures[stem] = png
-    if scores is not None and seeds:
-        blocks += _seed_section(entries, scheme)
-        designated = {policy: DESIGNATED_SEED if DESIGNATED_SEED in own else own[0] for policy, own in seeds.items()}
-        scored = {policy: with_predictions(frame, scores, policy.variant, own) for policy, own in designated.items()}
-        section, values = solvability_section(scored, seed, scheme)
-        blocks += section
-        metrics |= values
+    if seeds:
+        blocks.append(_ELSEWHERE)
     return Report("success_at_k", "\n\n".join(blocks) + "\n", figures, metrics)
 
 
-def _introduction(seeds: Mapping[Policy, Sequence[int]], scheme: SplitScheme) -> str:
+def _introduction(seeds: Mapping[Policy, Sequence[int]], scheme: SplitScheme, machine: str) -> str:
     trained = "; ".join(f"{policy.label} {', '.join(map(str, own))}" for policy, own in seeds.items())
     learned = f"Learned policies are means over their trainings, by seed: {trained}." if seeds else ""
     missing = "" if RANKER in seeds else " **No ranker was scored: its rows are missing.**"
@@ -108,8 +104,9 @@ def _introduction(seeds: Mapping[Policy, Sequence[int]], scheme: SplitScheme) ->
         "A group is *covered* when it holds a success; S_K is the share of covered groups with a success among the first K tried. Every"
         " policy orders the same candidates and breaks ties by the candidate's hash. Endpoint policies try what passes first and the rest"
         " after it. Intervals are 95 % and take into account that the groups of a scene are alike, and that trainings differ. Decision time"
-        " is core time of one CPU for all of a group's computations, fresh; the ranker's is wall-clock time from the scene's points to"
-        f" scores. {learned}{missing}{in_paper}"
+        " is core time of one CPU for all of a group's computations, fresh; that of learned policies is wall-clock time from the scene's"
+        f" points to scores{f', on {machine}' if machine else ''}; by size of the group it is in report `planner_calls`."
+        f" {learned}{missing}{in_paper}"
     )
 
 
@@ -135,7 +132,7 @@ def _split_section(inputs: _Inputs, split: str, entries: Mapping[Task, Sequence[
         covered = coverage(groups, own[0].rankings[0].ranks, task)
         prefix = f"{split}.{task.value}"
         blocks += _facts(task, split, groups, own[0], covered, inputs.scheme)
-        blocks += [ladder_table(own, is_in_paper=is_in_paper), calls_table(own, is_in_paper=is_in_paper)]
+        blocks.append(ladder_table(own, is_in_paper=is_in_paper))
         metrics |= ladder_metrics(prefix, own, covered)
         if split != "all":
             more, values = _comparison(own, groups, inputs.seed, prefix)
@@ -180,24 +177,6 @@ def _comparison(entries: Sequence[Entry], groups: pl.DataFrame, seed: int, prefi
         " resampled. Letters of S1 and of the mean rank of the first success in a covered group, the finer measure, are apart."
     )
     return [text, letters, strata], metrics | values
-
-
-def _seed_section(entries: Mapping[tuple[str, Task], Sequence[Entry]], scheme: SplitScheme) -> list[str]:
-    rows = []
-    for split in ("validation", "test"):
-        for task in Task:
-            for entry in entries[split, task]:
-                if entry.policy not in LEARNED:
-                    continue
-                has_paper = scheme is SplitScheme.SCENE and entry.policy is RANKER
-                in_paper = map(str, paper.SEEDS[split, task]) if has_paper else [None] * len(KS)
-                spreads = [_text(spread_of(entry.s_by_training(k))) for k in KS]
-                cells = [cell for pair in zip(spreads, in_paper, strict=True) for cell in pair]
-                seeds = ", ".join(map(str, entry.seeds))
-                rows.append([f"{split}, {TASK_TITLE[task].lower()}", entry.policy.label, seeds, *cells])
-    header = ["", "policy", "seeds", *(cell for k in KS for cell in (f"S{k}", "paper"))]
-    text = f"Mean ± sample standard deviation over the trainings; a single one has no deviation. Paper: {paper.SEEDS_SOURCE}."
-    return ["## Training seeds", text, table(header, rows, align="lll" + "r" * (len(header) - 3))]
 
 
 def _text(value: object | None) -> str | None:

@@ -18,7 +18,7 @@ from tables.vocabulary import (
 )
 
 # A change of any table makes a new version, which that table then names as its `since`.
-SCHEMA_VERSION = "2.3.0"
+SCHEMA_VERSION = "2.4.0"
 
 _SCENE_ID = text("scene_id", "scene, also the scene group")
 _OBJECT_ID = text("object_id", "catalogue object")
@@ -207,6 +207,15 @@ TEST_REPLICATES = TableSchema("test_replicates", "planned candidates of the test
     real("tolerance_margin", "1 minus the larger of the two errors over its tolerance; negative is off target"),
 ), since="2.3.0")
 
+PLANNER_COSTS = TableSchema("planner_costs", "what planning a candidate took when it was labelled: the planning stage of `timings`, small enough to ship", ("candidate_id",), (
+    _CANDIDATE_ID, single("core_ms", "CPU time of the planner", "ms"),
+), since="2.4.0")
+
+LEARNING_CURVE = TableSchema("learning_curve", "what rankers that were trained on some of the train split say of the candidates of the validation split", ("variant", "n_train_scenes", "seed", "candidate_id"), (
+    text("variant", "as in predictions"), integer("n_train_scenes", "scenes of the train split that it was trained on"), integer("seed", "training seed"), _CANDIDATE_ID,
+    single("log_p_plan", "log probability that a plan exists"), single("log_p_exec", "log probability of success given a plan"),
+), since="2.4.0")
+
 TIMINGS = TableSchema("timings", "core time of each unit of work, measured once; never part of a hashed release", ("stage", "item_id"), (
     text("stage", "stage that spent the time"), plain("item_id", "scene, grasp or candidate"), real("core_ms", "CPU time of the worker", "ms"),
 ))
@@ -221,5 +230,5 @@ LABEL_COLUMNS = tuple(column.name for column in (*_PLANNING, *_EXECUTION))
 
 ALL_SCHEMAS = {schema.name: schema for schema in (
     OBJECTS, OBJECT_MESHES, OBJECT_PARTS, STABLE_POSES, GRASP_POOL, SCENES, SCENE_ATTEMPTS, OBSTACLES, TARGETS, SCENE_POINTS, GRASP_ADMISSION, PICK_LIFT, GRASPS,
-    CANDIDATE_PAIRS, PLANNING_LABELS, PLANS, POLICY_FEATURES, EXECUTION_LABELS, CANDIDATES, SPLITS, ATTEMPTS, AUDITS, PREDICTIONS, TEST_REPLICATES, TIMINGS,
+    CANDIDATE_PAIRS, PLANNING_LABELS, PLANS, POLICY_FEATURES, EXECUTION_LABELS, CANDIDATES, SPLITS, ATTEMPTS, AUDITS, PREDICTIONS, TEST_REPLICATES, PLANNER_COSTS, LEARNING_CURVE, TIMINGS,
 )}  # fmt: skip

@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 
 from assets_def.resources import Benchmark
-from assets_def.trees_assets import TREE_PREDICTIONS
+from assets_def.trees_assets import TREE_PREDICTIONS, TREE_TIMES
 from model.features import CANDIDATE_GEOMETRY
 from objects.build import build_object
 from objects.catalogue import catalogue_order, load_catalogue
@@ -79,4 +79,5 @@ def write_made_up_tables(root: DataRoot) -> None:
     for schema in (PREDICTIONS, ATTEMPTS, AUDITS):
         write_table(schema, table_from_rows(schema, rows[schema.name]), root.tier_table(TIER, schema.name))
     times = [{"stage": "ranker", "item_id": scene_id, "core_ms": 1.0} for scene_id in SCENES]
-    write_table(TIMINGS, table_from_rows(TIMINGS, times), root.tier_table(TIER, "decision_times"))
+    for name in ("decision_times", TREE_TIMES):
+        write_table(TIMINGS, table_from_rows(TIMINGS, times), root.tier_table(TIER, name))

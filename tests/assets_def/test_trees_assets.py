@@ -10,7 +10,7 @@ from dagster import DagsterInstance, ExecuteInProcessResult, materialize
 
 from assets_def.report_assets import report_assets, report_steps
 from assets_def.resources import Benchmark
-from assets_def.trees_assets import TREE_PREDICTIONS, TREES_SEED, trees_assets, trees_step
+from assets_def.trees_assets import TREE_PREDICTIONS, TREE_TIMES, TREES_SEED, trees_assets, trees_step
 from model.features import CANDIDATE_GEOMETRY
 from model.trees import read_tree_data
 from reports.trees_probe import tree_predictions
@@ -41,10 +41,11 @@ def test_the_tables_and_the_report_are_made_once(benchmark: Benchmark) -> None:
     assert {(e.asset_key.to_user_string(), e.check_name, e.passed) for e in first.get_asset_check_evaluations()} == {
         (CANDIDATE_GEOMETRY.name, "schema", True),
         (TREE_PREDICTIONS, "schema", True),
+        (TREE_TIMES, "schema", True),
     }
-    assert reused(first) == {CANDIDATE_GEOMETRY.name: False, TREE_PREDICTIONS: False, "trees_probe_report": False}
+    assert reused(first) == {CANDIDATE_GEOMETRY.name: False, TREE_PREDICTIONS: False, TREE_TIMES: False, "trees_probe_report": False}
     assert trees_step.is_done(benchmark, TIER)
-    assert reused(run(benchmark)) == {CANDIDATE_GEOMETRY.name: True, TREE_PREDICTIONS: True, "trees_probe_report": True}
+    assert reused(run(benchmark)) == {CANDIDATE_GEOMETRY.name: True, TREE_PREDICTIONS: True, TREE_TIMES: True, "trees_probe_report": True}
 
     release_dir = benchmark.root.release(TIER)
     expected = tree_predictions(release_dir, read_tree_data(release_dir), TREES_SEED, None)
@@ -62,7 +63,12 @@ def test_another_release_makes_them_again(benchmark: Benchmark) -> None:
     tables["policy_features"] = table_from_rows(ALL_SCHEMAS["policy_features"], rows)
     write_release(tables, release_dir, TIER, "0.1.0", PROVENANCE, TOLERANCES)
     assert not trees_step.is_done(benchmark, TIER)
-    assert reused(run(benchmark)) == {CANDIDATE_GEOMETRY.name: False, TREE_PREDICTIONS: False, "trees_probe_report": False}
+    assert reused(run(benchmark)) == {
+        CANDIDATE_GEOMETRY.name: False,
+        TREE_PREDICTIONS: False,
+        TREE_TIMES: False,
+        "trees_probe_report": False,
+    }
 
 
 def run(benchmark: Benchmark) -> ExecuteInProcessResult:

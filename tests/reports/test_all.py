@@ -15,6 +15,8 @@ from model.settings import SCHEME_OF_PREDICTIONS
 from reports import ablation, success_at_k
 from reports.all import main
 from reports.kinds import KINDS
+from reports.learning_curve import learning_curve_table
+from reports.planner_costs import planner_costs
 from reports.report import ReportError
 from reports.sources import BESIDE, Sources
 from reports.success_at_k import success_at_k_report
@@ -30,6 +32,8 @@ from tests.splits.damage import PROVENANCE
 
 # The synthetic release has no meshes to draw.
 MADE = tuple(name for name in KINDS if name != "gallery")
+READ_SCORES = ("success_at_k", "planner_calls", "seed_robustness", "solvability", "calibration", "errors", "ablation", "trees_probe")
+OF_LEARNED = ("seed_robustness", "solvability", "calibration", "errors")
 
 
 def about(release_tables: dict[str, pa.Table], predictions: pa.Table) -> dict[str, pa.Table]:
@@ -47,10 +51,14 @@ def about(release_tables: dict[str, pa.Table], predictions: pa.Table) -> dict[st
     statuses = [(row["candidate_id"], row["plan_status"]) for row in first if not row["y_plan"]]
     audits = [{"candidate_id": name, "stored_status": status, "audited_status": status, **audited} for name, status in statuses]
     groups = [row["scene_id"] for row in release_tables["splits"].to_pylist() if row["split"] == "test"]
-    times = {"stage": ["ranker"] * len(groups), "item_id": groups, "core_ms": [1.0] * len(groups)}
+    times = {stage: {"stage": [stage] * len(groups), "item_id": groups, "core_ms": [1.0] * len(groups)} for stage in ("ranker", "trees")}
+    full = predictions.filter(pa.compute.equal(predictions["variant"], "full"))
     return {
         "predictions": predictions,
-        "decision_times": table_from_columns(schemas.TIMINGS, times),
+        "decision_times": table_from_columns(schemas.TIMINGS, times["ranker"]),
+        "tree_decision_times": table_from_columns(schemas.TIMINGS, times["trees"]),
+        "planner_costs": planner_costs(release_tables["timings"], release_tables["candidates"]),
+        "learning_curve": learning_curve_table({36: [full]}, release_tables["candidates"], release_tables["splits"]),
         "tree_predictions": table_from_rows(schemas.PREDICTIONS, trees),
         "attempts": table_from_rows(schemas.ATTEMPTS, [{name: row[name] for name in labels} | same for row in first]),
         "audits": table_from_rows(schemas.AUDITS, audits),
@@ -80,7 +88,7 @@ def test_every_report_is_made_twice_the_same(data: Path, tmp_path: Path, capsys:
     assert [name for name in KINDS if "left out" in lines[name]] == ["gallery"], "the synthetic release has no meshes"
     assert f"{data}/release/full/object_meshes.parquet is missing: the release has no such table" in lines["gallery"]
     assert {path.stem for path in (tmp_path / "one").glob("*.md")} == set(MADE)
-    assert lines["8 of 9 reports in " + str(tmp_path / "one") + "; left out"].endswith(": gallery")
+    assert lines["14 of 15 reports in " + str(tmp_path / "one") + "; left out"].endswith(": gallery")
     moved = tmp_path / "elsewhere"
     shutil.copytree(data / "predictions" / "full", moved)
     assert main([str(data / "release" / "full"), "--predictions", str(moved), "--out", str(tmp_path / "two")]) == 0
@@ -89,12 +97,12 @@ def test_every_report_is_made_twice_the_same(data: Path, tmp_path: Path, capsys:
 
 def test_a_report_is_the_one_of_its_module(data: Path, release_tables: dict[str, pa.Table], predictions: pa.Table) -> None:
     sources = Sources(Release.open(data / "release" / "full"), data / "predictions" / "full")
-    times = sources.table("decision_times")
+    times = join_tables(schemas.TIMINGS, [sources.table(name) for name in ("decision_times", "tree_decision_times")])
     both = join_tables(schemas.PREDICTIONS, [predictions, sources.table("tree_predictions")])
     expected = success_at_k_report(release_tables, both, times, tier="full", seed=42)
     made = KINDS["success_at_k"].make(sources)
     assert (made.markdown, dict(made.metrics)) == (expected.markdown, dict(expected.metrics))
-    assert made.metrics["test.joint.ranker.decision_ms"] == 1.0
+    assert made.metrics["test.joint.ranker.decision_ms"] == made.metrics["test.joint.trees.decision_ms"] == 1.0
 
 
 def test_a_light_release_without_predictions_says_what_it_lacks(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -109,11 +117,17 @@ def test_a_light_release_without_predictions_says_what_it_lacks(data: Path, tmp_
         ("ablation", "predictions"),
         ("trees_probe", "tree_predictions"),
         ("ceiling", "test_replicates"),
+        ("learning_curve", "learning_curve"),
+        *((name, "predictions") for name in OF_LEARNED),
     ):
         assert lines[name] == f"{name}: left out, {folder / f'{file}.parquet'} is missing"
     assert f"{light / 'timings.parquet'} is missing" in lines["profile"]
     assert f"{folder / 'predictions.parquet'} is missing" in lines["success_at_k"]
-    assert {path.stem for path in out_dir.glob("*.md")} == {"shard_diagnostics", "profile", "success_at_k"}
+    assert {path.stem for path in out_dir.glob("*.md")} == {"shard_diagnostics", "profile", "success_at_k", "planner_calls"}
+    calls = (out_dir / "planner_calls.md").read_text()
+    costs, timings = folder / "planner_costs.parquet", light / "timings.parquet"
+    assert f"Not known: {costs} is missing, and {timings} is missing" in calls
+    assert "`python -m reports.planner_costs` makes the one from the other." in calls
     assert "Not measured." in (out_dir / "profile.md").read_text()
     text = (out_dir / "success_at_k.md").read_text()
     assert "No ranker was scored" in text
@@ -138,8 +152,9 @@ def test_tables_about_another_release_and_damaged_ones_fail_alone(data: Path, tm
         in lines["trees_probe"]
     )
     assert "FAILED, StoreError" in lines["audit"]
-    assert out.splitlines()[-1].endswith("left out: gallery; failed: audit, success_at_k, trees_probe, ceiling")
-    assert {path.stem for path in (tmp_path / "out").glob("*.md")} == set(MADE) - {"audit", "success_at_k", "trees_probe", "ceiling"}
+    failed = [name for name in KINDS if name in {"audit", "success_at_k", "planner_calls", *OF_LEARNED, "trees_probe", "ceiling"}]
+    assert out.splitlines()[-1].endswith(f"left out: gallery; failed: {', '.join(failed)}")
+    assert {path.stem for path in (tmp_path / "out").glob("*.md")} == set(MADE) - set(failed)
 
 
 def under(scheme: str, data: Path, folder: Path) -> Path:
@@ -158,9 +173,9 @@ def test_under_a_scheme_only_what_a_split_decides_is_made(
     monkeypatch.chdir(tmp_path)
     assert main([str(copied / "release" / "full"), "--split", "object"]) == 0
     out = tmp_path / "reports" / "out" / "full" / "object"
-    decided = {"profile", "success_at_k", "ablation", "trees_probe"}
+    decided = {"profile", "success_at_k", "planner_calls", *OF_LEARNED, "ablation", "trees_probe"}
     assert {path.stem for path in out.glob("*.md")} == decided
-    assert capsys.readouterr().out.splitlines()[-1] == "4 of 4 reports in reports/out/full/object"
+    assert capsys.readouterr().out.splitlines()[-1] == "9 of 9 reports in reports/out/full/object"
     for name in decided:
         assert ", split `object`" in (out / f"{name}.md").read_text().splitlines()[0], name
     both = join_tables(schemas.PREDICTIONS, [predictions, about(release_tables, predictions)["tree_predictions"]])
@@ -177,7 +192,7 @@ def test_predictions_of_another_scheme_are_refused_by_every_report_alike(
 ) -> None:
     folder, release = under(trained, data, tmp_path / "about"), data / "release" / "full"
     sources = Sources(Release.open(release), folder, scheme=SplitScheme(asked))
-    for name, file in (("success_at_k", "predictions"), ("ablation", "predictions"), ("trees_probe", "tree_predictions")):
+    for name, file in ((name, "tree_predictions" if name == "trees_probe" else "predictions") for name in READ_SCORES):
         says = f"{folder / file}.parquet: of rankers that were trained under split {trained!r}, must be {asked!r}, the split asked for"
         with pytest.raises(ReportError, match=f"^{re.escape(says)}$"):
             KINDS[name].make(sources)
@@ -192,7 +207,7 @@ def test_a_part_of_a_scheme_that_a_small_tier_lacks_is_named(data: Path, tmp_pat
     sources = Sources(Release.open(data / "release" / "full"), under("layout", data, tmp_path), scheme=SplitScheme.LAYOUT)
     rows = [row | {"split_layout": "train"} for row in sources.table("splits").to_pylist()]
     sources.release._tables["splits"] = table_from_rows(schemas.SPLITS, rows)
-    for name in ("success_at_k", "ablation", "trees_probe"):
+    for name in READ_SCORES:
         with pytest.raises(
             ReportError, match=r"splits: 0 scenes in (test|validation) of scheme layout, must be at least 1: take a larger tier"
         ):
@@ -210,6 +225,7 @@ def test_rankers_and_tasks_that_are_not_there_are_named(data: Path, tmp_path: Pa
     keep("predictions", lambda row: row["variant"] == "no_object_relative" or (row["variant"], row["seed"]) == ("direct", 42))
     keep("tree_predictions", lambda row: row["variant"] == "trees")
     keep("decision_times", lambda row: True)
+    keep("tree_decision_times", lambda row: True)
     without = f"{some.path('predictions')} is there without"
     times = f"{some.path('decision_times')} is there without task fixed"
     assert KINDS["success_at_k"].goes_without(some) == [f"{without} full", times]
