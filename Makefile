@@ -15,7 +15,7 @@ export OPENBLAS_NUM_THREADS := 1
 # The same kernels on every processor, so the same bits (tables/__init__.py).
 export OPENBLAS_CORETYPE := Haswell
 
-.PHONY: demo dataset ui reports figures films site light rankers replicates points plans rejections test soak check bench reproduce validity knobs clean
+.PHONY: demo dataset ui reports figures films site light rankers curve replicates points plans rejections test soak check bench reproduce validity knobs clean
 
 demo: $(INSTALLED)  ## the whole benchmark on tier mini, from objects to reports
 	$(PY) -m assets_def.build mini --workers $(WORKERS)
@@ -43,6 +43,9 @@ light: $(INSTALLED)  ## a copy of a tier's release without its heavy tables, in 
 
 rankers: $(INSTALLED)  ## rankers of a release, as far as they are neither shipped nor trained, and their predictions beside it (TIER; ONLY="local full.42"; SPLIT=scheme)
 	$(PY) -m assets_def.rankers $(TIER) --workers $(WORKERS) $(if $(ONLY),--only $(ONLY)) $(if $(SPLIT),--split $(SPLIT))
+
+curve: $(INSTALLED)  ## S1 by training scenes: trains rankers on some of them, for the learning_curve report (TIER; ONLY=variants)
+	$(PY) -m assets_def.learning_curve $(TIER) --workers $(WORKERS) $(if $(ONLY),--only $(ONLY))
 
 replicates: $(INSTALLED)  ## planned test candidates executed again under small real uncertainty, for the ceiling report; resumable
 	$(PY) -m splits.replicates $(RELEASE) --workers $(WORKERS)

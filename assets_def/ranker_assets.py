@@ -33,12 +33,11 @@ from assets_def.partitions import (
     tiers_to_rankers,
 )
 from assets_def.products import FilesProduct, TableProduct
-from assets_def.ranker_training import SHIPPED, folder_name, setting_of
+from assets_def.ranker_training import SHIPPED, folder_name, settings_of
 from assets_def.resources import Benchmark
 from assets_def.steps import Step
 from model.checkpoint import identity_of, input_errors, is_checkpoint_of, load_checkpoint
 from model.inputs import contract_hash
-from model.networks import settings_named
 from model.scoring import decision_times, score, timing_machine
 from model.settings import Variant, settings_to_dict
 from model.training import train
@@ -96,7 +95,7 @@ def _ranker_checks(benchmark: Benchmark, partition: str) -> Iterator[AssetCheckR
 def _train(benchmark: Benchmark, key: RankerKey) -> tuple[list[Path], dict[str, Any]]:
     """Train a ranker, or take over the one that is shipped if it is of this very training."""
     release_dir, out_dir = benchmark.root.release(key.tier), _checkpoint(benchmark, key)
-    settings = settings_named(setting_of(key.tier, key.variant), key.variant)
+    settings = settings_of(key)
     shipped = SHIPPED / key.tier / folder_name(key)
     is_shipped = is_checkpoint_of(shipped, identity_of(release_dir, key.variant, key.seed, settings))
     if is_shipped:
@@ -118,7 +117,7 @@ def _train(benchmark: Benchmark, key: RankerKey) -> tuple[list[Path], dict[str, 
 def _ranker_products(benchmark: Benchmark, partition: str) -> tuple[FilesProduct]:
     """A checkpoint and what decides a training: its identity but for the manifest, which also names what no training reads."""
     key = parse_ranker_key(partition)
-    settings = settings_named(setting_of(key.tier, key.variant), key.variant)
+    settings = settings_of(key)
     identity = identity_of(benchmark.root.release(key.tier), key.variant, key.seed, settings)
     made_from = {
         "code": MODEL_CODE_VERSION,

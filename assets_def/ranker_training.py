@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,13 @@ from assets_def.partitions import RankerKey
 from assets_def.resources import REPOSITORY
 from model.networks import settings_named
 from model.optimisation import HistoryRow
-from model.settings import Variant
+from model.settings import TrainingSettings
 from model.training import train
 from pipelines.running.workers import run_units
 from tables.errors import PlaceBenchError
 from tables.vocabulary import SplitScheme
 
+INTERRUPTED = 130  # what a shell reports of a command that Ctrl-C ended
 # Beside the code, by tier, split scheme where it is not the paper's, variant and seed.
 SHIPPED = REPOSITORY / "model" / "checkpoints"
 
@@ -26,9 +28,14 @@ class RankersError(PlaceBenchError, RuntimeError):
     """Rankers that could not be trained, or a choice that names none."""
 
 
-def setting_of(tier: str, variant: Variant) -> str:
-    """Name of the settings that the rankers of a tier are trained with on two cores: ours at their full size on `full`."""
-    return "light" if tier != "full" else "full" if variant.is_local else "cpu"
+def settings_of(key: RankerKey, n_train_scenes: int = 0) -> TrainingSettings:
+    """What a ranker of a tier is trained with on two cores: ours at their full size on `full`.
+
+    Args:
+        n_train_scenes: how many of the training scenes it sees; 0: all.
+    """
+    name = "light" if key.tier != "full" else "full" if key.variant.is_local else "cpu"
+    return replace(settings_named(name, key.variant), n_train_scenes=n_train_scenes)
 
 
 def folder_name(key: RankerKey) -> str:
@@ -37,17 +44,24 @@ def folder_name(key: RankerKey) -> str:
 
 
 def train_all(
-    release_dir: Path, keys: Sequence[RankerKey], scheme: SplitScheme, out: Path, n_workers: int, log: Callable[[str], Any] = print
+    release_dir: Path,
+    keys: Sequence[RankerKey],
+    scheme: SplitScheme,
+    out: Path,
+    n_workers: int,
+    log: Callable[[str], Any] = print,
+    n_train_scenes: int = 0,
 ) -> None:
     """Train rankers, each into a folder of its name below `out`, as many at once as there are workers.
 
     Args:
         n_workers: processes; 0 trains in this one, one after the other. Weights do not depend on it.
+        n_train_scenes: how many of the training scenes they see; 0: all.
 
     Raises:
         RankersError: a training that failed, with its reason; the others are kept.
     """
-    units = [(release_dir, key, scheme, out / folder_name(key)) for key in keys]
+    units = [(release_dir, key, scheme, out / folder_name(key), n_train_scenes) for key in keys]
     errors = []
     with closing(run_units(_train, units, min(n_workers, len(units)), units_per_life=1)) as outcomes:
         for outcome in outcomes:
@@ -60,9 +74,9 @@ def train_all(
         raise RankersError(f"{len(errors)} of {len(units)} trainings failed, must be 0: {min(errors)}")
 
 
-def _train(release_dir: Path, key: RankerKey, scheme: SplitScheme, out_dir: Path) -> str:
+def _train(release_dir: Path, key: RankerKey, scheme: SplitScheme, out_dir: Path, n_train_scenes: int) -> str:
     """In a worker: one training, told epoch by epoch; returns what was chosen."""
-    settings = settings_named(setting_of(key.tier, key.variant), key.variant)
+    settings = settings_of(key, n_train_scenes)
     start_s, done = time.perf_counter(), [0]
 
     def tell(row: HistoryRow) -> None:

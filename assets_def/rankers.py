@@ -23,12 +23,11 @@ import pyarrow.compute as pc
 
 from assets_def.partitions import RankerKey, rankers_of_tier
 from assets_def.ranker_assets import MODEL_CODE_VERSION
-from assets_def.ranker_training import SHIPPED, RankersError, folder_name, setting_of, train_all
+from assets_def.ranker_training import INTERRUPTED, SHIPPED, RankersError, folder_name, settings_of, train_all
 from assets_def.resources import Benchmark
 from assets_def.trees_assets import TREE_PREDICTIONS, TREES_CODE_VERSION, TREES_SEED
 from model.checkpoint import identity_of, is_checkpoint_of, weights_sha256
 from model.inputs import InputReader, contract_hash, scenes_of_split
-from model.networks import settings_named
 from model.scoring import score
 from model.settings import SCHEME_OF_PREDICTIONS, Variant, scheme_named
 from model.trees import read_tree_data
@@ -46,7 +45,6 @@ from tables.vocabulary import Split, SplitScheme
 
 # Rankers are selected on the one and judged on the other; what they say of scenes that they were trained on is no result.
 SCORED = (Split.VALIDATION.value, Split.TEST.value)
-INTERRUPTED = 130  # what a shell reports of a command that Ctrl-C ended
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +66,7 @@ class Place:
 
     def checkpoint(self, key: RankerKey) -> Path | None:
         """The folder of a trained ranker, shipped or trained here; None where there is none of today's settings and release."""
-        settings = settings_named(setting_of(key.tier, key.variant), key.variant)
-        identity = identity_of(self.release_dir, key.variant, key.seed, settings, self.scheme)
+        identity = identity_of(self.release_dir, key.variant, key.seed, settings_of(key), self.scheme)
         below = () if self.scheme is SplitScheme.SCENE else (self.scheme.value,)
         folders = (SHIPPED.joinpath(self.tier, *below, folder_name(key)), self.trained / folder_name(key))
         return next((folder for folder in folders if is_checkpoint_of(folder, identity)), None)
@@ -100,8 +97,7 @@ def make_rankers(place: Place, keys: Sequence[RankerKey], n_workers: int, log: C
         RankersError: a training that failed; the others are kept.
         PlaceBenchError: a release that cannot be read, made whole or trained on.
     """
-    if "scene_points" in Release.open(place.release_dir).left_out:
-        rebuild(place.release_dir, "scene_points", n_workers, log=log)
+    make_whole(place, n_workers, log)
     with locked(place.trained / ".lock", f"rankers of {place.tier}"):
         missing = [key for key in keys if place.checkpoint(key) is None]
         log(f"rankers: {len(keys) - len(missing)} of {len(keys)} there")
@@ -110,6 +106,12 @@ def make_rankers(place: Place, keys: Sequence[RankerKey], n_workers: int, log: C
         there = {key: folder for key in keys_of(place.tier, place.scheme) if (folder := place.checkpoint(key)) is not None}
         _publish_predictions(place, there, log)
         _publish_trees(place, log)
+
+
+def make_whole(place: Place, n_workers: int, log: Callable[[str], Any] = print) -> None:
+    """Give a light release the points that networks see; raises as `splits.rebuild.rebuild`."""
+    if "scene_points" in Release.open(place.release_dir).left_out:
+        rebuild(place.release_dir, "scene_points", n_workers, log=log)
 
 
 def _publish_predictions(place: Place, there: Mapping[RankerKey, Path], log: Callable[[str], Any]) -> None:

@@ -134,7 +134,7 @@ def curve_figure(
             axes.errorbar(
                 x, y, yerr=scale * around, fmt=f"{marker}-", color=colour, markersize=5, linewidth=1.4, capsize=2.5, elinewidth=0.9
             )
-            axes.plot([], [], look, color=colour, markersize=5, linewidth=1.4, label=curve.label)
+            axes.plot([], [], f"{marker}-", color=colour, markersize=5, linewidth=1.4, label=curve.label)
         for k, line in enumerate(lines):
             axes.axhline(scale * line.value, color=_INK, linestyle=(line.style, ":", "-.")[k % 3], linewidth=1, label=line.label)
         _log_ticks(axes, sorted({x for curve in curves for x in curve.x}))
