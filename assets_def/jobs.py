@@ -67,6 +67,6 @@ def job_of(definitions: Definitions, keys: Collection[AssetKey], partition: str 
     """
     for job in jobs:
         is_of_another_tier = job.name in _SHARDS_OF and partition not in _SHARDS_OF[job.name]
-        if not is_of_another_tier and definitions.resolve_job_def(job.name).asset_layer.executable_asset_keys >= set(keys):
+        if not is_of_another_tier and set(keys) <= set(definitions.resolve_job_def(job.name).asset_layer.executable_asset_keys):
             return job.name
     raise KeyError(f"no job makes all of {sorted(key.to_user_string() for key in keys)}")

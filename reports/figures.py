@@ -201,7 +201,7 @@ def _bars_with_intervals(axes: Axes, x: np.ndarray, estimates: Sequence[Estimate
     axes.errorbar([at for at, _ in known], values, yerr=np.maximum(errors, 0.0), fmt="none", ecolor=INK, elinewidth=0.9, capsize=2)
 
 
-def canvas(width_in: float, height_in: float, layout: Literal["constrained", "none"] = "constrained") -> Figure:
+def canvas(width_in: float, height_in: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
     """An empty white figure."""
     figure = Figure(figsize=(width_in, height_in), dpi=130, layout=layout, facecolor="white")
     FigureCanvasAgg(figure)

@@ -85,7 +85,7 @@ def chain_figure(numbers: Mapping[str, str]) -> bytes:
     """
     columns = [("objects", tuple(OBJECT_TABLES)), *_groups(), ("release", ("candidates", "grasps", "splits", "... and the others"))]
     width, height, gap = 11.0, 3.15, 0.26
-    figure = canvas(width, height, "none")
+    figure = canvas(width, height, layout=None)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_xlim(0, width)
     axes.set_ylim(0, height)

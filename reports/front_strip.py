@@ -35,9 +35,9 @@ def strip_figure(recordings: Sequence[Recording], tolerances: Tolerances) -> byt
     Raises:
         ReportError: a candidate without an execution, or one that ended before it let go.
     """
-    figure = canvas(11.0, 2.12 * len(recordings), "none")
-    rows = np.atleast_1d(figure.subfigures(len(recordings), 1))
-    for row, recording in zip(rows, recordings, strict=True):
+    figure = canvas(11.0, 2.12 * len(recordings), layout=None)
+    rows = figure.subfigures(len(recordings), 1, squeeze=False)
+    for row, recording in zip(rows[:, 0], recordings, strict=True):
         _row(row, recording, tolerances)
     return png(figure)
 
