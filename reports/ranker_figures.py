@@ -130,11 +130,9 @@ def curve_figure(
             known = [(x, e) for x, e in zip(curve.x, curve.estimates, strict=True) if e is not None]
             y = np.array([scale * e.value for _, e in known])
             around = np.maximum(np.array([[e.value - e.low, e.high - e.value] for _, e in known]).reshape(-1, 2).T, 0.0)
-            x, colour, marker = [x * 1.02**k for x, _ in known], _SERIES[k % len(_SERIES)], _MARKERS[k % len(_MARKERS)]
-            axes.errorbar(
-                x, y, yerr=scale * around, fmt=f"{marker}-", color=colour, markersize=5, linewidth=1.4, capsize=2.5, elinewidth=0.9
-            )
-            axes.plot([], [], look, color=colour, markersize=5, linewidth=1.4, label=curve.label)
+            x, colour, look = [x * 1.02**k for x, _ in known], _SERIES[k % len(_SERIES)], f"{_MARKERS[k % len(_MARKERS)]}-"
+            axes.errorbar(x, y, yerr=scale * around, fmt="none", ecolor=colour, capsize=2.5, elinewidth=0.9)
+            axes.plot(x, y, look, color=colour, markersize=5, linewidth=1.4, label=curve.label)
         for k, line in enumerate(lines):
             axes.axhline(scale * line.value, color=_INK, linestyle=(line.style, ":", "-.")[k % 3], linewidth=1, label=line.label)
         _log_ticks(axes, sorted({x for curve in curves for x in curve.x}))
