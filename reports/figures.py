@@ -58,7 +58,7 @@ def ladder_figure(panels: Mapping[str, Sequence[LadderBar]], title: str) -> byte
             order = sorted(range(len(labels)), key=lambda i: (labels[i] == "paper", i))
             chosen = [handles[i] for i in order], [labels[i] for i in order]
             axes.legend(*chosen, ncols=len(ks) + 1, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0))
-    _title(figure, title)
+    headline(figure, title)
     return png(figure)
 
 
@@ -92,7 +92,7 @@ def status_figure(counts: Mapping[str, Mapping[str, int]], statuses: Sequence[st
     axes.set_xlabel("share [%]")
     tidy(axes)
     figure.legend(ncols=4, frameon=False, loc="outside lower center", fontsize=8.5)
-    _title(figure, title)
+    headline(figure, title)
     return png(figure)
 
 
@@ -114,7 +114,7 @@ def shares_figure(rows: Mapping[str, Estimate | None], title: str, xlabel: str, 
         axes.axvline(paper, color=PAPER, linestyle="--", linewidth=1.2)
         axes.text(paper, 1.01, "paper, overall", color=PAPER, fontsize=8.5, va="bottom", ha="center", transform=axes.get_xaxis_transform())
     tidy(axes, grid="x")
-    _title(figure, title)
+    headline(figure, title)
     return png(figure)
 
 
@@ -136,7 +136,7 @@ def counts_figure(counts: Mapping[str, Mapping[str, int]], title: str, ylabel: s
     axes.set_ylim(bottom=1.0)
     tidy(axes, grid="y")
     figure.legend(frameon=False, ncols=len(keys), loc="outside lower center", fontsize=8.5)
-    _title(figure, title)
+    headline(figure, title)
     return png(figure)
 
 
@@ -160,7 +160,7 @@ def funnel_figure(stages: Sequence[tuple[str, int, str]], title: str) -> bytes:
         axes.text(-0.55, at, label, va="center", ha="right", fontsize=9, color=INK)
     axes.set_xlim(-0.95, 1.25)
     axes.set_axis_off()
-    _title(figure, title)
+    headline(figure, title)
     return png(figure)
 
 
@@ -189,7 +189,7 @@ def dots_figure(panels: Mapping[str, Mapping[str, tuple[Sequence[float], float |
         axes.set_xlabel(xlabel)
         axes.set_title(name, loc="left", fontsize=10)
         tidy(axes, grid="x")
-    _title(figure, f"{title}   (dots: seeds, bar: mean, ◇ paper)")
+    headline(figure, f"{title}   (dots: seeds, bar: mean, ◇ paper)")
     return png(figure)
 
 
@@ -208,7 +208,7 @@ def canvas(width_in: float, height_in: float, layout: Literal["constrained"] | N
     return figure
 
 
-def _title(figure: Figure, title: str) -> None:
+def headline(figure: Figure, title: str) -> None:
     figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold")
 
 

@@ -10,10 +10,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
 
-from reports.figures import _title as titled
-from reports.figures import canvas as figure_of
-from reports.figures import png as png_of
-from reports.figures import tidy as tidied
+from reports.figures import canvas, headline, png, tidy
 from reports.metrics import Estimate
 
 _SERIES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#000000", "#999999")
@@ -70,7 +67,7 @@ class Line:
 def reliability_figure(rows: Mapping[str, Mapping[str, Sequence[Reliability]]], title: str) -> bytes:
     """Rate against mean probability, a row a policy and a column a probability; the size of a dot is the share of units in its bin."""
     columns = list(next(iter(rows.values())))
-    figure = figure_of(3.1 * len(columns) + 0.4, 2.9 * len(rows) + 0.9)
+    figure = canvas(3.1 * len(columns) + 0.4, 2.9 * len(rows) + 0.9)
     for down, (policy, panels) in enumerate(rows.items()):
         for across, (name, curves) in enumerate(panels.items()):
             axes = figure.add_subplot(len(rows), len(columns), down * len(columns) + across + 1)
@@ -87,14 +84,14 @@ def reliability_figure(rows: Mapping[str, Mapping[str, Sequence[Reliability]]], 
                 axes.set_ylabel("rate", fontsize=9)
             if not down and not across:
                 axes.legend(frameon=False, fontsize=8, loc="upper left", markerscale=0.7)
-            tidied(axes)
-    titled(figure, title)
-    return png_of(figure)
+            tidy(axes)
+    headline(figure, title)
+    return png(figure)
 
 
 def roc_figure(panels: Mapping[str, RocPanel], title: str) -> bytes:
     """Recall of solvable groups against recall of unsolvable ones, a panel a task; a dot is the threshold that was chosen."""
-    figure = figure_of(max(5.0, 4.4 * len(panels)), 4.8)
+    figure = canvas(max(5.0, 4.4 * len(panels)), 4.8)
     for number, (name, panel) in enumerate(panels.items(), 1):
         axes = figure.add_subplot(1, len(panels), number)
         axes.plot([0, 100], [0, 100], color="#bbbbbb", linewidth=1)
@@ -113,16 +110,16 @@ def roc_figure(panels: Mapping[str, RocPanel], title: str) -> bytes:
         axes.set_title(name, loc="left", fontsize=10)
         if panel.curves:
             axes.legend(frameon=False, fontsize=8.5, loc="lower right")
-        tidied(axes, grid="y")
-    titled(figure, title)
-    return png_of(figure)
+        tidy(axes, grid="y")
+    headline(figure, title)
+    return png(figure)
 
 
 def curve_figure(
     panels: Mapping[str, tuple[Sequence[Curve], Sequence[Line]]], title: str, xlabel: str, ylabel: str, *, percent: bool = True
 ) -> bytes:
     """Curves with intervals over a logarithmic axis, a panel a measure; levels that do not depend on it are broken lines."""
-    figure = figure_of(4.6 * len(panels), 4.1)
+    figure = canvas(4.6 * len(panels), 4.1)
     scale = 100.0 if percent else 1.0
     for number, (name, (curves, lines)) in enumerate(panels.items(), 1):
         axes = figure.add_subplot(1, len(panels), number)
@@ -130,11 +127,9 @@ def curve_figure(
             known = [(x, e) for x, e in zip(curve.x, curve.estimates, strict=True) if e is not None]
             y = np.array([scale * e.value for _, e in known])
             around = np.maximum(np.array([[e.value - e.low, e.high - e.value] for _, e in known]).reshape(-1, 2).T, 0.0)
-            x, colour, marker = [x * 1.02**k for x, _ in known], _SERIES[k % len(_SERIES)], _MARKERS[k % len(_MARKERS)]
-            axes.errorbar(
-                x, y, yerr=scale * around, fmt=f"{marker}-", color=colour, markersize=5, linewidth=1.4, capsize=2.5, elinewidth=0.9
-            )
-            axes.plot([], [], f"{marker}-", color=colour, markersize=5, linewidth=1.4, label=curve.label)
+            x, colour, look = [x * 1.02**k for x, _ in known], _SERIES[k % len(_SERIES)], f"{_MARKERS[k % len(_MARKERS)]}-"
+            axes.errorbar(x, y, yerr=scale * around, fmt="none", ecolor=colour, capsize=2.5, elinewidth=0.9)
+            axes.plot(x, y, look, color=colour, markersize=5, linewidth=1.4, label=curve.label)
         for k, line in enumerate(lines):
             axes.axhline(scale * line.value, color=_INK, linestyle=(line.style, ":", "-.")[k % 3], linewidth=1, label=line.label)
         _log_ticks(axes, sorted({x for curve in curves for x in curve.x}))
@@ -143,9 +138,9 @@ def curve_figure(
         axes.set_title(name, loc="left", fontsize=10)
         if number == 1:
             axes.legend(frameon=False, fontsize=8.5)
-        tidied(axes, grid="y")
-    titled(figure, title)
-    return png_of(figure)
+        tidy(axes, grid="y")
+    headline(figure, title)
+    return png(figure)
 
 
 def _log_ticks(axes: Axes, x: Sequence[float]) -> None:
@@ -163,7 +158,7 @@ def seconds_figure(panels: Mapping[str, Mapping[str, tuple[float, Estimate | Non
     """
     labels = list(dict.fromkeys(label for rows in panels.values() for label in rows))
     y = {label: float(len(labels) - 1 - k) for k, label in enumerate(labels)}
-    figure = figure_of(4.6 * len(panels) + 1.2, 1.7 + 0.36 * len(labels))
+    figure = canvas(4.6 * len(panels) + 1.2, 1.7 + 0.36 * len(labels))
     for number, (name, rows) in enumerate(panels.items(), 1):
         axes = figure.add_subplot(1, len(panels), number)
         for label, (decision_s, total, everything_s) in rows.items():
@@ -181,6 +176,6 @@ def seconds_figure(panels: Mapping[str, Mapping[str, tuple[float, Estimate | Non
         axes.tick_params(labelleft=number == 1)
         axes.set_xlabel("seconds a group", fontsize=9)
         axes.set_title(name, loc="left", fontsize=9.5)
-        tidied(axes, grid="x")
-    titled(figure, f"{title}   (dot: in all, green: decision, broken line: planning everything)")
-    return png_of(figure)
+        tidy(axes, grid="x")
+    headline(figure, f"{title}   (dot: in all, green: decision, broken line: planning everything)")
+    return png(figure)
