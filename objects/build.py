@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -45,11 +45,12 @@ class ObjectTables:
     notes: tuple[str, ...] = ()
 
 
-def build_object(spec: ObjectSpec, params: ObjectParams, seed: int) -> ObjectTables:
+def build_object(spec: ObjectSpec, params: ObjectParams, seed: int, progress: Callable[[str], Any] | None = None) -> ObjectTables:
     """Solid, convex parts, mass properties, stable poses and grasp pool of one catalogue entry.
 
     Args:
         seed: the recipe seed; the result depends on it, the entry and the parameters alone.
+        progress: is told, in a line now and then, what takes long.
 
     Raises:
         ObjectError: the object cannot be built; names it, the value and its bound.
@@ -57,7 +58,7 @@ def build_object(spec: ObjectSpec, params: ObjectParams, seed: int) -> ObjectTab
     solid = solid_of(spec)
     mesh = TriangleMesh(np.array(solid.mesh.vertices, dtype=np.float64), np.array(solid.mesh.faces, dtype=np.int64))
     coacd_seed = int(rng_for(seed, "decomposition", spec.object_id).integers(2**31))
-    decomposition = decompose(spec, solid, params.decomposition, coacd_seed)
+    decomposition = decompose(spec, solid, params.decomposition, coacd_seed, progress)
     com_m = np.asarray(solid.mesh.center_mass) + np.array(spec.com_offset_m)
     poses = stable_poses(spec, solid.mesh, com_m, params.stable_poses)
     grasps = grasp_pool(spec, solid.mesh, decomposition.parts, com_m, poses, params.grasp_pool, seed)
