@@ -21,7 +21,7 @@ from jaxtyping import Float
 from objects.errors import MeshError
 
 # What one object may take; the slowest packaged mug takes two. Time of its cores, so that a busy machine refuses nothing.
-MAX_CORE_S = 120.0
+MAX_CORE_S = 45.0
 _TELL_EVERY_S = 10.0
 
 
