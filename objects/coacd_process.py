@@ -76,6 +76,7 @@ class CoacdProcess:
 
     def _wait(self, child: subprocess.Popen[bytes]) -> None:
         """Until the child answers or ends, or has to be ended."""
+        assert child.stdout is not None
         start = told = time.monotonic()
         while not select.select([child.stdout], [], [], 0.5)[0]:
             times = psutil.Process(child.pid).cpu_times()

@@ -214,7 +214,7 @@ def _lean(hull: trimesh.Trimesh, max_vertices: int) -> trimesh.Trimesh:
         z = 1.0 - (2.0 * np.arange(n_directions) + 1.0) / n_directions  # Fibonacci's lattice on the sphere
         turn, radius = np.arange(n_directions) * np.pi * (3.0 - 5.0**0.5), np.sqrt(1.0 - z**2)
         along = vertices @ np.stack([radius * np.cos(turn), radius * np.sin(turn), z])
-        lean = trimesh.convex.convex_hull(vertices[np.unique(along.argmax(axis=0))])
+        lean: trimesh.Trimesh = trimesh.convex.convex_hull(vertices[np.unique(along.argmax(axis=0))])
         if _missing_m(hull, [lean]) <= LEAN_M:
             return lean
         n_directions = n_directions * 5 // 4

@@ -105,7 +105,8 @@ def uncrossed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         pieces = [to_manifold(mesh)]
         for axis in range(3):
             normal = np.eye(3)[axis].tolist()
-            for offset in np.linspace(*mesh.bounds[:, axis], n_slabs + 1)[1:-1]:
+            low_m, high_m = mesh.bounds[:, axis].tolist()
+            for offset in np.linspace(low_m, high_m, n_slabs + 1)[1:-1]:
                 halves = [half for piece in pieces for half in piece.split_by_plane(normal, float(offset))]
                 pieces = [part for half in halves if not half.is_empty() for part in half.decompose()]
         union = manifold3d.Manifold.batch_boolean(pieces, manifold3d.OpType.Add)
@@ -170,8 +171,9 @@ def _passes(segments: Float[np.ndarray, "n 2 3"], triangles: Float[np.ndarray, "
 
 def to_manifold(mesh: trimesh.Trimesh) -> Any:
     """The mesh as a manifold3d solid."""
-    vertices: Float[np.ndarray, "v 3"] = np.ascontiguousarray(mesh.vertices, dtype=np.float64)
-    faces: Int[np.ndarray, "f 3"] = np.ascontiguousarray(mesh.faces, dtype=np.uint64)
+    # Copies: trimesh hands out some arrays read-only, and those are refused.
+    vertices: Float[np.ndarray, "v 3"] = np.array(mesh.vertices, dtype=np.float64, order="C")
+    faces: Int[np.ndarray, "f 3"] = np.array(mesh.faces, dtype=np.uint64, order="C")
     return manifold3d.Manifold(manifold3d.Mesh64(vertices, faces))
 
 
