@@ -149,8 +149,7 @@ def test_a_mesh_too_rough_for_convex_parts_ends_with_the_number_it_would_take(tm
     spec, told = mesh_spec(tmp_path / "own.ply"), []
     with pytest.raises(MeshError, match=r"own: it takes \d+ convex parts, must be in \[1, 4\]"):
         decompose(spec, solid_of(spec), dataclasses.replace(PARAMS, max_parts=4), 1, told.append)
-    assert told
-    assert all("times the volume of the mesh" in line for line in told)
+    assert any("times the volume of the mesh" in line for line in told)
 
 
 def test_a_call_that_takes_too_long_is_ended_and_says_so() -> None:
