@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,7 @@ from objects.catalogue import ObjectSpec
 from objects.decomposition import Decomposition, DecompositionParams, decompose, mesh_sha256
 from objects.grasp_pool import GraspPoolParams, RatedGrasp, grasp_pool
 from objects.object_model import ObjectModel, StablePose, TriangleMesh, object_models_from_tables
-from objects.solids import solid_of
+from objects.solids import Solid, solid_of
 from objects.stable_poses import StablePoseParams, stable_poses
 from tables.identity import rng_for
 from tables.poses import pose_columns, pose_of
@@ -35,20 +35,22 @@ class ObjectParams:
 
 @dataclass(frozen=True, slots=True)
 class ObjectTables:
-    """Rows of one object for each object table."""
+    """Rows of one object for each object table, and what was changed of a user's mesh (which `source` says too)."""
 
     objects: list[Row]
     object_meshes: list[Row]
     object_parts: list[Row]
     stable_poses: list[Row]
     grasp_pool: list[Row]
+    notes: tuple[str, ...] = ()
 
 
-def build_object(spec: ObjectSpec, params: ObjectParams, seed: int) -> ObjectTables:
+def build_object(spec: ObjectSpec, params: ObjectParams, seed: int, progress: Callable[[str], Any] | None = None) -> ObjectTables:
     """Solid, convex parts, mass properties, stable poses and grasp pool of one catalogue entry.
 
     Args:
         seed: the recipe seed; the result depends on it, the entry and the parameters alone.
+        progress: is told, in a line now and then, what takes long.
 
     Raises:
         ObjectError: the object cannot be built; names it, the value and its bound.
@@ -56,16 +58,17 @@ def build_object(spec: ObjectSpec, params: ObjectParams, seed: int) -> ObjectTab
     solid = solid_of(spec)
     mesh = TriangleMesh(np.array(solid.mesh.vertices, dtype=np.float64), np.array(solid.mesh.faces, dtype=np.int64))
     coacd_seed = int(rng_for(seed, "decomposition", spec.object_id).integers(2**31))
-    decomposition = decompose(spec, solid, params.decomposition, coacd_seed)
+    decomposition = decompose(spec, solid, params.decomposition, coacd_seed, progress)
     com_m = np.asarray(solid.mesh.center_mass) + np.array(spec.com_offset_m)
     poses = stable_poses(spec, solid.mesh, com_m, params.stable_poses)
     grasps = grasp_pool(spec, solid.mesh, decomposition.parts, com_m, poses, params.grasp_pool, seed)
     return ObjectTables(
-        objects=[_object_row(spec, solid.mesh, mesh, com_m, decomposition, grasps)],
+        objects=[_object_row(spec, solid, mesh, com_m, decomposition, grasps)],
         object_meshes=[{"object_id": spec.object_id, **_mesh_columns(mesh)}],
         object_parts=[{"object_id": spec.object_id, "part_id": k, **_mesh_columns(p)} for k, p in enumerate(decomposition.parts)],
         stable_poses=[_pose_row(spec.object_id, pose) for pose in poses],
         grasp_pool=[_grasp_row(spec.object_id, grasp) for grasp in grasps],
+        notes=solid.notes,
     )
 
 
@@ -97,25 +100,25 @@ def inertia_kg_m2(mesh: trimesh.Trimesh, mass_kg: float) -> Float[np.ndarray, "3
 
 def _object_row(
     spec: ObjectSpec,
-    solid_mesh: trimesh.Trimesh,
+    solid: Solid,
     mesh: TriangleMesh,
     com_m: Float[np.ndarray, "3"],
     decomposition: Decomposition,
     grasps: tuple[RatedGrasp, ...],
 ) -> Row:
-    size, inertia = solid_mesh.extents, inertia_kg_m2(solid_mesh, spec.mass_kg)
+    size, inertia = solid.mesh.extents, inertia_kg_m2(solid.mesh, spec.mass_kg)
     return {
         "object_id": spec.object_id,
         "category": spec.category.value,
         "name": spec.name,
-        "source": spec.source,
+        "source": "; ".join([spec.source, *(["its mesh was repaired"] if solid.notes else []), *solid.notes]),
         **{f"size_{axis}_m": float(size[k]) for k, axis in enumerate("xyz")},
         "mass_kg": spec.mass_kg,
         "friction": spec.friction,
         **{f"com_{axis}_m": float(com_m[k]) for k, axis in enumerate("xyz")},
         **{f"i{a}{b}_kg_m2": float(inertia["xyz".index(a), "xyz".index(b)]) for a, b in ("xx", "yy", "zz", "xy", "xz", "yz")},
         "symmetry": spec.symmetry.value,
-        "mesh_volume_m3": float(solid_mesh.volume),
+        "mesh_volume_m3": float(solid.mesh.volume),
         "hull_volume_ratio": decomposition.volume_ratio,
         "cavity_fill": decomposition.cavity_fill,
         "handle_hole_fill": decomposition.handle_hole_fill,

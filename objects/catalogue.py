@@ -26,6 +26,8 @@ PACKAGED_CATALOGUE = Path(__file__).with_name("catalogue.toml")
 MAX_MASS_KG = 1.2
 # Friction of the object's surface; the engine multiplies it by that of the finger or the table.
 DEFAULT_FRICTION = 0.8
+# Changes when the code that reads and repairs the meshes of users may give another solid for the same file.
+MESH_CODE_VERSION = "2"
 _ID = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 
@@ -67,10 +69,11 @@ class CuboidShape:
 
 @dataclass(frozen=True, slots=True)
 class MeshShape:
-    """A mesh file that a user brings, made metric by `scale`."""
+    """A mesh file that a user brings, made metric by `scale` and, where it has more, simplified to at most `max_faces` triangles."""
 
     path: Path
     scale: float = 1.0
+    max_faces: int | None = None
 
 
 Shape = CanShape | MugShape | CuboidShape | MeshShape
@@ -91,8 +94,11 @@ class ObjectSpec:
     com_offset_m: tuple[float, float, float]
 
 
-def load_catalogue(path: Path = PACKAGED_CATALOGUE) -> tuple[ObjectSpec, ...]:
+def load_catalogue(path: Path = PACKAGED_CATALOGUE, allow_outside: bool = False) -> tuple[ObjectSpec, ...]:
     """Entries of a catalogue file, in file order.
+
+    Args:
+        allow_outside: whether mesh files may lie outside the folder of the catalogue.
 
     Raises:
         CatalogueError: the file is missing or not TOML, or an entry has an unknown or missing key or a value out of bounds.
@@ -108,7 +114,7 @@ def load_catalogue(path: Path = PACKAGED_CATALOGUE) -> tuple[ObjectSpec, ...]:
     entries = content.get("object", [])
     if not isinstance(entries, list) or not entries:
         raise CatalogueError(f"{path}: 0 objects, must be at least 1 [[object]] table")
-    specs = tuple(_spec(entry, k, path.parent) for k, entry in enumerate(entries))
+    specs = tuple(_spec(entry, k, path.parent, allow_outside) for k, entry in enumerate(entries))
     ids = [spec.object_id for spec in specs]
     for object_id in ids:
         if ids.count(object_id) > 1:
@@ -124,10 +130,25 @@ def catalogue_order() -> list[tuple[str, str]]:
 def catalogue_hash(specs: Sequence[ObjectSpec]) -> str:
     """SHA-256 of parsed entries in their order: comments, spacing and the order of keys in the file do not change it.
 
-    A mesh file of the user's enters by its path, not by its content.
+    A mesh file of the user's enters by its content, not by its path.
     """
-    content = json.dumps([dataclasses.asdict(spec) for spec in specs], sort_keys=True, default=str)
+    content = json.dumps([identity_of(spec) for spec in specs], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()
+
+
+def identity_of(spec: ObjectSpec) -> dict[str, Any]:
+    """An entry as it decides the object; a mesh file counts by what is in it (and its suffix, which says how to read it).
+
+    A mesh file that cannot be read has an identity, too: building it says what is wrong.
+    """
+    entry: dict[str, Any] = dataclasses.asdict(spec)
+    if isinstance(spec.shape, MeshShape):
+        try:
+            content = hashlib.sha256(spec.shape.path.read_bytes()).hexdigest()
+        except OSError:
+            content = "unreadable"
+        entry["shape"] |= {"path": f"{content}{spec.shape.path.suffix}", "code": MESH_CODE_VERSION}
+    return entry
 
 
 _COMMON_KEYS = {"id", "category", "name", "source", "mass_kg", "friction", "symmetry", "com_offset_m"}
@@ -145,7 +166,7 @@ _SYMMETRY = {
 }
 
 
-def _spec(entry: Any, index: int, folder: Path) -> ObjectSpec:
+def _spec(entry: Any, index: int, folder: Path, allow_outside: bool) -> ObjectSpec:
     if not isinstance(entry, Mapping):
         raise CatalogueError(f"object {index + 1}: not a table")
     object_id = entry.get("id", f"object {index + 1}")
@@ -172,7 +193,7 @@ def _spec(entry: Any, index: int, folder: Path) -> ObjectSpec:
         category=category,
         name=entry["name"],
         source=entry["source"],
-        shape=_shape(object_id, shape_type, entry, folder),
+        shape=_shape(object_id, shape_type, entry, folder, allow_outside),
         mass_kg=_number(object_id, entry, "mass_kg", 0.005, MAX_MASS_KG),
         friction=_number(object_id, entry, "friction", 0.1, 1.5, DEFAULT_FRICTION),
         symmetry=Symmetry(symmetry),
@@ -180,7 +201,7 @@ def _spec(entry: Any, index: int, folder: Path) -> ObjectSpec:
     )
 
 
-def _shape(object_id: str, shape_type: type[Shape], entry: Mapping[str, Any], folder: Path) -> Shape:
+def _shape(object_id: str, shape_type: type[Shape], entry: Mapping[str, Any], folder: Path, allow_outside: bool) -> Shape:
     if shape_type is CanShape:
         return CanShape(*(_number(object_id, entry, key, 0.010, 0.400) for key in ("diameter_m", "height_m")))
     if shape_type is CuboidShape:
@@ -188,8 +209,29 @@ def _shape(object_id: str, shape_type: type[Shape], entry: Mapping[str, Any], fo
     if shape_type is MeshShape:
         if not isinstance(entry.get("mesh"), str):
             raise CatalogueError(f"{object_id}: mesh {entry.get('mesh')!r}, must be a path relative to the catalogue file")
-        return MeshShape(folder / entry["mesh"], _number(object_id, entry, "scale", 1e-6, 1e3, 1.0))
+        path = _mesh_path(object_id, entry["mesh"], folder, allow_outside)
+        return MeshShape(path, _number(object_id, entry, "scale", 1e-6, 1e3, 1.0), _max_faces(object_id, entry))
     return _mug_shape(object_id, entry)
+
+
+def _mesh_path(object_id: str, mesh: str, folder: Path, allow_outside: bool) -> Path:
+    """Where a mesh file is; a catalogue from elsewhere may not name any file of this machine, by a link neither."""
+    try:
+        is_inside = (folder / mesh).resolve().is_relative_to(folder.resolve())
+    except (OSError, ValueError, RuntimeError) as error:  # a name with a null byte, a link to itself
+        raise CatalogueError(f"{object_id}: mesh {mesh!r}, must be a path: {error}") from error
+    if not is_inside and not allow_outside:
+        raise CatalogueError(f"{object_id}: mesh {mesh!r} lies outside {folder}, must be inside (or allow it: --allow-outside)")
+    return folder / mesh
+
+
+def _max_faces(object_id: str, entry: Mapping[str, Any]) -> int | None:
+    if "max_faces" not in entry:
+        return None
+    value = entry["max_faces"]
+    if type(value) is not int or not 100 <= value <= 20_000:
+        raise CatalogueError(f"{object_id}: max_faces {value!r}, must be a whole number in [100, 20000]")
+    return value
 
 
 def _mug_shape(object_id: str, entry: Mapping[str, Any]) -> MugShape:

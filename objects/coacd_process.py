@@ -1,28 +1,41 @@
-"""CoACD in a process of its own, so that a geometry that makes it abort becomes an error; see decomposition.py for what is split."""
+"""CoACD in a process of its own, so that a geometry that makes it abort, or never end, becomes an error; see decomposition.py."""
 
 from __future__ import annotations
 
 import os
 import pickle
+import select
 import subprocess
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
 
 import numpy as np
+import psutil
 import trimesh
 from jaxtyping import Float
 
 from objects.errors import MeshError
 
+# What one object may take; the slowest packaged mug takes two. Time of its cores, so that a busy machine refuses nothing.
+MAX_CORE_S = 45.0
+_TELL_EVERY_S = 10.0
+
 
 class CoacdProcess:
-    """A child process that splits meshes until the context ends; it is started by the first call."""
+    """A child process that splits meshes until the context ends; it is started by the first call.
 
-    def __init__(self, object_id: str) -> None:
-        self._object_id = object_id
+    Args:
+        object_id: who is named in errors.
+        progress: is told every ten seconds how long a call has taken.
+        max_core_s: time of the child's cores at which it is ended.
+    """
+
+    def __init__(self, object_id: str, progress: Callable[[str], Any] | None = None, max_core_s: float = MAX_CORE_S) -> None:
+        self._object_id, self._progress, self._max_core_s = object_id, progress, max_core_s
         self._child: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> CoacdProcess:
@@ -43,7 +56,7 @@ class CoacdProcess:
             settings: arguments of `coacd.run_coacd`.
 
         Raises:
-            MeshError: CoACD crashed.
+            MeshError: CoACD crashed or took too long.
         """
         if self._child is None:
             self._child = _started()
@@ -52,6 +65,7 @@ class CoacdProcess:
         pieces = [(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int32)) for mesh in meshes]
         try:
             _send(self._child.stdin, (pieces, settings))
+            self._wait(self._child)
             parts: list[Float[np.ndarray, "v 3"]] = pickle.load(self._child.stdout)
         except (EOFError, BrokenPipeError, pickle.UnpicklingError) as error:
             code = self._child.wait()
@@ -59,6 +73,22 @@ class CoacdProcess:
                 f"{self._object_id}: CoACD crashed with exit code {code}, must be 0; the mesh has degenerate or self-touching faces"
             ) from error
         return parts
+
+    def _wait(self, child: subprocess.Popen[bytes]) -> None:
+        """Until the child answers or ends, or has to be ended."""
+        assert child.stdout is not None
+        start = told = time.monotonic()
+        while not select.select([child.stdout], [], [], 0.5)[0]:
+            times = psutil.Process(child.pid).cpu_times()
+            if (core_s := times.user + times.system) > self._max_core_s:
+                child.kill()
+                raise MeshError(
+                    f"{self._object_id}: CoACD took {core_s:.0f} core-seconds without an end, must be at most {self._max_core_s:g}:"
+                    " the mesh is too rough for convex parts; smooth it, or set max_faces"
+                )
+            if self._progress is not None and time.monotonic() - told >= _TELL_EVERY_S:
+                told = time.monotonic()
+                self._progress(f"{self._object_id}: CoACD has been at it for {told - start:.0f} s")
 
 
 def serve() -> None:

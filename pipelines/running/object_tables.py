@@ -104,6 +104,8 @@ def _all_objects(
                     error = f"SchemaError: {failure}"
             if error is None:
                 log(f"objects: {object_id} in {outcome.core_ms / 1e3:.1f} s ({n_done} of {len(missing)})")
+                for note in outcome.value.notes:
+                    log(f"objects: {object_id}: its mesh: {note}")
             else:
                 failures.append(f"{object_id}: {error}")
     if failures:

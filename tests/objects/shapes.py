@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+import trimesh
+
 from objects.catalogue import CanShape, CuboidShape, MeshShape, MugShape, ObjectSpec, Shape
 from tables.vocabulary import Category, Symmetry
 
@@ -22,3 +25,24 @@ def spec_of(shape: Shape, object_id: str = "thing", mass_kg: float = 0.2, com_z_
 
 def mesh_spec(path: Path, scale: float = 1.0, object_id: str = "own") -> ObjectSpec:
     return spec_of(MeshShape(path, scale), object_id)
+
+
+def figure_eight(radius_m: float, reach_m: float = 0.04, n_along: int = 64, n_around: int = 16) -> trimesh.Trimesh:
+    """A closed tube of one piece whose middle line is an eight: it runs through itself in the middle."""
+    t, s = np.linspace(0, 2 * np.pi, n_along, endpoint=False), np.linspace(0, 2 * np.pi, n_around, endpoint=False)
+    middle = reach_m * np.stack([np.sin(t), np.sin(t) * np.cos(t), 0 * t], axis=1)
+    across = np.stack([-np.cos(2 * t), np.cos(t), 0 * t], axis=1)
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    ring = np.cos(s)[:, None] * across[:, None] + np.sin(s)[:, None] * [0.0, 0.0, 1.0]
+    i, j = (k.ravel() for k in np.meshgrid(np.arange(n_along), np.arange(n_around), indexing="ij"))
+    along, around = (i + 1) % n_along, (j + 1) % n_around
+    a, b, c, d = (p * n_around + q for p, q in ((i, j), (along, j), (i, around), (along, around)))
+    faces = np.concatenate([np.stack([a, c, b], axis=1), np.stack([b, c, d], axis=1)])
+    return trimesh.Trimesh((middle[:, None] + radius_m * ring).reshape(-1, 3), faces, process=False)
+
+
+def bumpy_ball(subdivisions: int) -> trimesh.Trimesh:
+    """A ball whose every vertex stands in or out by up to a tenth: no few convex parts are near it."""
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.03)
+    ball.vertices *= np.random.default_rng(0).uniform(0.9, 1.1, (len(ball.vertices), 1))
+    return ball

@@ -144,3 +144,59 @@ def test_the_hash_of_a_catalogue_knows_what_was_parsed_and_nothing_else(tmp_path
     hashes = {catalogue_hash(load_catalogue(write(tmp_path, *entries))) for entries in others}
     assert len(hashes | {first}) == 1 + len(others)
     assert all(len(value) == 64 for value in hashes)
+
+
+MESH = {"id": '"own"', "category": '"mesh"', "name": '"n"', "source": '"s"', "mass_kg": "0.1"}
+
+
+@pytest.mark.parametrize("mesh", ["../own.stl", "/etc/own.stl", "files/../../own.stl", "link/own.stl"])
+def test_a_mesh_file_outside_the_folder_is_refused_unless_allowed(tmp_path: Path, mesh: str) -> None:
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    (folder / "link").symlink_to(tmp_path)
+    path = write(folder, {**MESH, "mesh": f'"{mesh}"'})
+    with pytest.raises(CatalogueError) as error:
+        load_catalogue(path)
+    assert str(error.value) == f"own: mesh {mesh!r} lies outside {folder}, must be inside (or allow it: --allow-outside)"
+    (spec,) = load_catalogue(path, allow_outside=True)
+    assert spec.shape == MeshShape(folder / mesh)
+
+
+def test_a_link_that_stays_in_the_folder_is_a_path_like_any_other(tmp_path: Path) -> None:
+    (tmp_path / "own.stl").symlink_to(tmp_path / "files" / "own.stl")
+    (spec,) = load_catalogue(write(tmp_path, {**MESH, "mesh": '"own.stl"'}))
+    assert spec.shape == MeshShape(tmp_path / "own.stl")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"mesh": '"a\\u0000b.stl"'}, "own: mesh 'a\\x00b.stl', must be a path: embedded null byte"),
+        ({"mesh": '"loop"'}, "own: mesh 'loop', must be a path: Symlink loop"),
+        ({"mesh": "3"}, "own: mesh 3, must be a path relative to the catalogue file"),
+        ({"mesh": '"own.stl"', "max_faces": "50"}, "own: max_faces 50, must be a whole number in [100, 20000]"),
+        ({"mesh": '"own.stl"', "max_faces": "500.5"}, "own: max_faces 500.5, must be a whole number in [100, 20000]"),
+        ({"mesh": '"own.stl"', "scale": "0.0"}, "own: scale 0, must be in [1e-06, 1000]"),
+    ],
+)
+def test_a_bad_mesh_entry_is_refused_in_one_line(tmp_path: Path, changes: dict[str, str], said: str) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    with pytest.raises(CatalogueError) as error:
+        load_catalogue(write(tmp_path, {**MESH, **changes}))
+    assert str(error.value).startswith(said)
+    assert "\n" not in str(error.value)
+
+
+def test_the_hash_of_a_catalogue_knows_a_mesh_file_by_its_content(tmp_path: Path) -> None:
+    path = write(tmp_path, {**MESH, "mesh": '"own.stl"'})
+    missing = catalogue_hash(load_catalogue(path))
+    (tmp_path / "own.stl").write_bytes(b"one")
+    first = catalogue_hash(load_catalogue(path))
+    (tmp_path / "own.stl").write_bytes(b"two")
+    assert len({missing, first, catalogue_hash(load_catalogue(path))}) == 3
+    (tmp_path / "other.stl").write_bytes(b"one")
+    assert catalogue_hash(load_catalogue(write(tmp_path, {**MESH, "mesh": '"other.stl"'}))) == first
+
+
+def test_the_hash_of_the_packaged_catalogue_is_the_one_that_releases_name() -> None:
+    assert catalogue_hash(load_catalogue()) == "297f3815dc416f5a77c2a99dabc41e34af5cd095ae118178a95adcbce65f9e3f"

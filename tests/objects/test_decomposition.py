@@ -16,7 +16,7 @@ from objects.decomposition import Decomposition, DecompositionParams, decompose,
 from objects.errors import MeshError
 from objects.object_model import TriangleMesh
 from objects.solids import Solid, solid_of
-from tests.objects.shapes import MUG_SHAPE, mesh_spec, spec_of
+from tests.objects.shapes import MUG_SHAPE, bumpy_ball, mesh_spec, spec_of
 
 PARAMS = DecompositionParams()
 
@@ -58,7 +58,7 @@ def test_a_convex_solid_is_its_own_single_part(shape: CanShape | CuboidShape) ->
 
 def test_a_solid_that_should_be_convex_and_is_not_is_refused() -> None:
     dented = solid_of(spec_of(MUG_SHAPE)).mesh
-    with pytest.raises(MeshError, match=r"thing: volume of the convex parts over mesh volume .* must be at most 1"):
+    with pytest.raises(MeshError, match=r"thing: its convex parts have .* times its volume, must be in \[0, 1\]"):
         decompose(spec_of(CanShape(0.066, 0.1)), Solid(dented), PARAMS, 1)
 
 
@@ -118,12 +118,12 @@ def test_the_search_takes_the_fewest_parts_that_pass() -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"max_cavity_fill": 0.001}, "share of the cavity"),
-        ({"max_handle_hole_fill": 0.001}, "share of the handle hole"),
-        ({"max_volume_ratio": 1.01}, "over mesh volume"),
-        ({"max_parts": 10}, "number of convex parts 12, must be at most 10"),
+        ({"max_cavity_fill": 0.001}, r"its convex parts fill .* of its cavity, must be in \[0, 0.001\]"),
+        ({"max_handle_hole_fill": 0.001}, r"its convex parts fill .* of its handle hole, must be in \[0, 0.001\]"),
+        ({"max_volume_ratio": 1.01}, r"its convex parts have .* times its volume, must be in \[0, 1.01\]"),
+        ({"max_parts": 10}, r"it takes 12 convex parts, must be in \[1, 10\]"),
         # A hull of too few vertices loses the ring that the mug stands on.
-        ({"max_hull_vertices": 16}, "sticks out of the hull of the parts"),
+        ({"max_hull_vertices": 16}, r"its convex parts leave out .* mm of its outside, must be in \[0, 0.5\]"),
     ],
 )
 def test_a_gate_that_no_setting_passes_is_an_error(changes: dict[str, float], said: str) -> None:
@@ -142,6 +142,29 @@ def test_a_users_concave_mesh_is_split_until_its_volume_fits(tmp_path: Path) -> 
     assert made.volume_ratio <= 1.02
     notch = np.array([[0.02, 0.02, 0.0]])  # in the open corner of the angle, object frame
     assert not np.any([inside(part, notch, 0.0) for part in made.parts])
+
+
+def test_a_mesh_too_rough_for_convex_parts_ends_with_the_number_it_would_take(tmp_path: Path) -> None:
+    bumpy_ball(subdivisions=3).export(tmp_path / "own.ply")
+    spec, told = mesh_spec(tmp_path / "own.ply"), []
+    with pytest.raises(MeshError, match=r"own: it takes \d+ convex parts, must be in \[1, 4\]"):
+        decompose(spec, solid_of(spec), dataclasses.replace(PARAMS, max_parts=4), 1, told.append)
+    assert any("times the volume of the mesh" in line for line in told)
+
+
+def test_a_call_that_takes_too_long_is_ended_and_says_so() -> None:
+    ball = bumpy_ball(subdivisions=4)
+    with CoacdProcess("own", max_core_s=0.0) as child, pytest.raises(MeshError, match=r"own: CoACD took \d+ core-seconds .* at most 0:"):
+        child.split([ball], threshold=0.02, preprocess_mode="off")
+
+
+def test_a_smooth_mesh_has_parts_of_few_enough_vertices(tmp_path: Path) -> None:
+    trimesh.creation.icosphere(subdivisions=4, radius=0.03).export(tmp_path / "own.ply")
+    spec = mesh_spec(tmp_path / "own.ply")
+    made = decompose(spec, solid_of(spec), PARAMS, 1)
+    assert len(made.parts) == 1
+    assert 128 < len(made.parts[0].vertices_m) < 512  # of 2562
+    assert 0.97 <= made.volume_ratio <= 1.0
 
 
 def test_fill_of_nothing_is_nothing_and_of_everything_is_one() -> None:

@@ -1,9 +1,8 @@
-"""Solids: exact volumes, open cavities and handle holes, and what is said of a user's bad mesh file."""
+"""Solids: exact volumes, open cavities and handle holes, see test_user_mesh.py for mesh files."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from objects.catalogue import CanShape, CuboidShape, MugShape, load_catalogue
-from objects.errors import MeshError
 from objects.mug import N_BODY_FACETS, mug_cavity, mug_handle_hole, mug_mesh
 from objects.solids import N_CAN_FACETS, solid_of
-from tests.objects.shapes import MUG_SHAPE, mesh_spec, spec_of
+from tests.objects.shapes import spec_of
 
 
 @st.composite
@@ -101,57 +99,3 @@ def test_every_packaged_solid_is_watertight_and_within_its_extent() -> None:
         assert solid.mesh.is_winding_consistent
         assert solid.mesh.body_count == 1
         assert (solid.cavity is not None) == (spec.category == "mug")
-
-
-@pytest.mark.parametrize("suffix", ["obj", "stl", "ply"])
-def test_a_mesh_file_gives_the_same_solid_in_every_format_and_unit(tmp_path: Path, suffix: str) -> None:
-    mesh = mug_mesh(MUG_SHAPE)
-    scaled = mesh.copy()
-    scaled.apply_scale(1000.0)
-    scaled.apply_translation([300.0, -20.0, 7.0])
-    scaled.export(tmp_path / f"own.{suffix}")
-    loaded = solid_of(mesh_spec(tmp_path / f"own.{suffix}", scale=0.001)).mesh
-    assert loaded.volume == pytest.approx(mesh.volume, rel=1e-4)  # STL and PLY hold single precision
-    assert loaded.bounds.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-7)
-    assert loaded.extents == pytest.approx(mesh.extents, rel=1e-5)
-
-
-def test_an_inside_out_mesh_file_is_turned_right(tmp_path: Path) -> None:
-    mesh = trimesh.creation.box(extents=(0.05, 0.06, 0.07))
-    mesh.invert()
-    mesh.export(tmp_path / "own.ply")
-    assert solid_of(mesh_spec(tmp_path / "own.ply")).mesh.volume == pytest.approx(0.05 * 0.06 * 0.07, rel=1e-5)
-
-
-def test_an_open_mesh_is_refused_with_its_open_edges(tmp_path: Path) -> None:
-    box = trimesh.creation.box(extents=(0.05, 0.06, 0.07))
-    trimesh.Trimesh(box.vertices, box.faces[:-1]).export(tmp_path / "own.ply")
-    with pytest.raises(MeshError, match=r"own: mesh is not watertight \(3 edges"):
-        solid_of(mesh_spec(tmp_path / "own.ply"))
-
-
-@pytest.mark.parametrize(("scale", "value"), [(1000.0, "50 m"), (0.001, "5e-05 m")])
-def test_a_mesh_in_another_unit_is_refused_with_its_extent_and_the_bound(tmp_path: Path, scale: float, value: str) -> None:
-    trimesh.creation.box(extents=(0.05, 0.06, 0.07)).export(tmp_path / "own.stl")
-    with pytest.raises(MeshError) as error:
-        solid_of(mesh_spec(tmp_path / "own.stl", scale))
-    assert "own: extent along x " + value in str(error.value)
-    assert "[0.01, 0.4]" in str(error.value)
-
-
-@pytest.mark.parametrize(("name", "text"), [("own.obj", "v 0 0\nf 1 2 3\n"), ("own.ply", "not a mesh"), ("own.xyz7", "?")])
-def test_a_file_that_is_no_mesh_is_refused_by_name(tmp_path: Path, name: str, text: str) -> None:
-    (tmp_path / name).write_text(text)
-    with pytest.raises(MeshError, match=f"own: mesh file .*{name}"):
-        solid_of(mesh_spec(tmp_path / name))
-
-
-def test_a_missing_mesh_file_is_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(MeshError, match=r"own: mesh file .*gone\.stl does not exist"):
-        solid_of(mesh_spec(tmp_path / "gone.stl"))
-
-
-def test_a_mesh_with_too_many_faces_is_refused(tmp_path: Path) -> None:
-    trimesh.creation.icosphere(subdivisions=6, radius=0.03).export(tmp_path / "own.stl")
-    with pytest.raises(MeshError, match=r"own: mesh file .* has 81920 faces, must be in"):
-        solid_of(mesh_spec(tmp_path / "own.stl"))
