@@ -20,7 +20,7 @@ from rich.markdown import Markdown
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from assets_def.inputs import source_version
-from assets_def.resources import REPOSITORY, Benchmark
+from assets_def.resources import Benchmark
 from pipelines.proofs.validity.studies import STUDIES, StudyProgress, numbers_of, run_studies
 from pipelines.proofs.validity.subject import Sizes, Subject
 from pipelines.recipe import Recipe
@@ -79,7 +79,7 @@ def report_path(tier: str, benchmark: Benchmark, only: Collection[str]) -> Path:
     """Where the text of a report lies, the numbers beside it: one of some studies never replaces one of all."""
     chosen = [name for name in STUDIES if name in only]
     name = "validity" if len(chosen) == len(STUDIES) else f"validity-{tier}-{'+'.join(chosen)}"
-    return REPOSITORY / benchmark.reports_dir / f"{name}.md"
+    return benchmark.reports / f"{name}.md"
 
 
 def _check_recipe(manifest: Manifest, recipe: Recipe) -> None:
@@ -122,8 +122,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--only", nargs="+", choices=STUDIES, default=tuple(STUDIES), metavar="STUDY", help=f"studies to run (all): {', '.join(STUDIES)}"
     )
     parser.add_argument("--data", default=Benchmark().data_dir, help="data folder; a relative one is below the checkout")
+    parser.add_argument("--recipe", default=Benchmark().recipe_path, help="that the release was made with; relative as the data folder")
     chosen = parser.parse_args(arguments)
-    benchmark = Benchmark(n_workers=chosen.workers, data_dir=chosen.data)
+    benchmark = Benchmark(n_workers=chosen.workers, data_dir=chosen.data, recipe_path=chosen.recipe)
     try:
         report = validity(chosen.tier, benchmark, Sizes.of_tier(chosen.tier), only=chosen.only)
     except KeyboardInterrupt:

@@ -10,10 +10,9 @@ import hashlib
 import json
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Any
 
 from objects.build import ObjectParams
-from objects.catalogue import MeshShape, ObjectSpec
+from objects.catalogue import ObjectSpec, hashed_entry
 
 # Changes when the code in objects/ may give other rows for the same entry and parameters.
 OBJECT_CODE_VERSION = "2"
@@ -34,18 +33,8 @@ def shared_sources(params: ObjectParams, seed: int) -> dict[str, str]:
 
 
 def entry_sha256(spec: ObjectSpec) -> str:
-    """SHA-256 of a catalogue entry; a mesh file counts by what is in it (and its suffix, which says how to read it), not by its path.
-
-    Files that a mesh file refers to are not looked at. A mesh file that cannot be read has a hash, too: building it says what is wrong.
-    """
-    entry: dict[str, Any] = dataclasses.asdict(spec)
-    if isinstance(spec.shape, MeshShape):
-        try:
-            content = hashlib.sha256(spec.shape.path.read_bytes()).hexdigest()
-        except OSError:
-            content = "unreadable"
-        entry["shape"] |= {"path": f"{content}{spec.shape.path.suffix}"}
-    return _sha256(json.dumps(entry, sort_keys=True))
+    """SHA-256 of a catalogue entry (see `objects.catalogue.hashed_entry`)."""
+    return _sha256(json.dumps(hashed_entry(spec), sort_keys=True))
 
 
 def object_sources(spec: ObjectSpec, params: ObjectParams, seed: int) -> dict[str, str]:

@@ -16,11 +16,14 @@ from splits.citation import Citation
 from splits.data_card import limits
 from splits.hub_card import TAGS
 from splits.manifest import BY_SPLIT, CARD, NAME, FileEntry, Manifest, files_of_table
+from splits.own import LICENCE_OF_OWN
+from splits.provenance import is_own
 from splits.statements import (
     CLEANING,
     MAINTENANCE,
     MISSING,
     MISUSES,
+    OWN_PURPOSE,
     PURPOSE,
     SENSITIVE,
     SOCIAL_IMPACT,
@@ -81,23 +84,23 @@ def render_croissant(manifest: Manifest, summary: Summary, citation: Citation) -
     Args:
         manifest: of the release; its entries of texts are not looked at.
         summary: counts in its tables.
-        citation: how the data are cited.
+        citation: how the data are cited; see `own.citation_of`.
     """
     tables = sorted(manifest.tables)
     content = {
         "@context": CONTEXT,
         "@type": "sc:Dataset",
         "conformsTo": list(CONFORMS_TO),
-        "name": f"{NAME}-{manifest.tier}",
-        "description": f"{citation.abstract} {PURPOSE}",
+        "name": f"own-dataset-{manifest.tier}" if is_own(manifest.provenance) else f"{NAME}-{manifest.tier}",
+        "description": f"{citation.abstract} {OWN_PURPOSE if is_own(manifest.provenance) else PURPOSE}",
         "version": manifest.version,
-        "license": LICENCE_URL,
+        "license": LICENCE_OF_OWN if is_own(manifest.provenance) else LICENCE_URL,
         "url": citation.url or CARD,
         "creator": [{"@type": "sc:Organization", "name": name} for name in citation.work.authors],
         "keywords": sorted({*TAGS, *citation.keywords}),
         "inLanguage": "en",
         "citeAs": citation.bibtex(manifest.tier, manifest.version),
-        **({"datePublished": citation.date} if manifest.version == citation.version else {}),
+        **({"datePublished": date} if (date := citation.date_of(manifest.version)) else {}),
         **({"identifier": citation.url} if citation.url else {}),
         "isLiveDataset": False,
         **_responsible(manifest, summary),
@@ -121,9 +124,9 @@ def _responsible(manifest: Manifest, summary: Summary) -> Json:
         "rai:dataAnnotationAnalysis": [label_checks(summary)],
         "rai:annotationsPerItem": "One execution of the pipeline; repeats are in table attempts where the release holds it.",
         "rai:machineAnnotationTools": tools,
-        "rai:dataBiases": list(biases(summary)),
+        "rai:dataBiases": list(biases(summary, manifest.provenance)),
         "rai:dataUseCases": [*USES, *(f"Not for: {misuse}" for misuse in MISUSES)],
-        "rai:dataLimitations": limits(),
+        "rai:dataLimitations": limits(manifest.provenance),
         "rai:dataSocialImpact": SOCIAL_IMPACT,
         "rai:personalSensitiveInformation": [SENSITIVE],
         "rai:dataReleaseMaintenancePlan": MAINTENANCE,

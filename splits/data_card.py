@@ -13,6 +13,8 @@ from splits.citation import Citation
 from splits.confidence import confidence_section
 from splits.hub_card import READING, front_matter
 from splits.markdown import count, percent, share, table
+from splits.own import KNOWN_OBJECTS_OF_OWN, LICENCE_OF_OWN, notice_of, title_of
+from splits.provenance import is_own
 from splits.scheme_section import scheme_section
 from tables.columns import TableSchema
 from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES
@@ -24,7 +26,11 @@ PAPER_CITATION = """@misc{liu_execution_aware_ranking,
   note   = {Deakin University}
 }"""
 
-LIMITS = """\
+_KNOWN_OBJECTS = """\
+- **Known objects.** Column `split` holds out scenes, not objects: an object may occur in all of its parts, and results on it say nothing
+  about unseen objects. `split_object` and `split_category_<name>` are for that, over 30 objects of three categories and no more."""
+
+_LIMITS = """\
 - **A protocol, not the paper's labels.** The protocol is that of the paper cited below, which used Isaac Sim and cuMotion; here it is
   MuJoCo (held objects), PyBullet (resting ones), OMPL, pinocchio and coal. Rates differ and may not be compared as if they were of the
   same data.
@@ -38,8 +44,7 @@ LIMITS = """\
 - **Simulation only.** Rigid bodies, Coulomb friction, convex parts instead of exact meshes. No label was confirmed on a robot.
 - **Labels near the tolerance are chaotic.** Contact dynamics amplify differences that mean nothing physically; the section on how sure
   the labels are says by how much.
-- **Known objects.** Column `split` holds out scenes, not objects: an object may occur in all of its parts, and results on it say nothing
-  about unseen objects. `split_object` and `split_category_<name>` are for that, over 30 objects of three categories and no more.
+{known_objects}
 - **Supervision only.** Whatever is known only after planning or physics must not be a model input: the columns of `candidates` from
   `y_plan` on, `plans`, and the lifted and in-hand states in `grasps`.
 - **One grasp and one placement.** Regrasping, stacking and moving obstacles are not in the data."""
@@ -79,10 +84,14 @@ leaks between splits and for files that do not belong here. `manifest.json` was 
 lists size and SHA-256 of every other file, and in `manifest_sha256` the SHA-256 of its own other fields."""
 
 
-def limits() -> list[str]:
+def limits(provenance: Mapping[str, str]) -> list[str]:
     """The limits as single paragraphs without Markdown, each beginning with its title, for texts of another form."""
-    items = re.split(r"^- ", LIMITS, flags=re.MULTILINE)[1:]
+    items = re.split(r"^- ", _limits(provenance), flags=re.MULTILINE)[1:]
     return [" ".join(item.replace("**", "").replace("`", "").split()) for item in items]
+
+
+def _limits(provenance: Mapping[str, str]) -> str:
+    return _LIMITS.format(known_objects=KNOWN_OBJECTS_OF_OWN if is_own(provenance) else _KNOWN_OBJECTS)
 
 
 def render_card(
@@ -95,24 +104,27 @@ def render_card(
         facts: what the tables do not say: `tier`, `version`, `schema_version`, `licence`, `release_hash`, `scenes_of_tier`, provenance.
         rows: rows of each table.
         sizes: bytes of the files of each table.
-        citation: how the data are cited.
+        citation: how the data are cited; see `own.citation_of`.
     """
     frames = {name: frame_of(tables[name]) for name in ("candidates", "splits", "scenes", "targets", "grasps", "objects")}
     joined = frames["candidates"].join(frames["splits"], on="scene_id").with_columns(pl.col("y_pipe").fill_null(False).alias("success"))
     own = citation.bibtex(facts["tier"], facts["version"])
-    licence = (
-        f"The data are licensed under {facts['licence']}. Cite them as\n\n```bibtex\n{own}\n```\n\nand the paper whose protocol is theirs:"
+    licence = LICENCE_OF_OWN if is_own(facts) else facts["licence"]
+    terms = "The licence of the data is" if is_own(facts) else "The data are licensed under"
+    licence_and_citation = (
+        f"{terms} {licence}. Cite them as\n\n```bibtex\n{own}\n```\n\nand the paper whose protocol is theirs:"
         f"\n\n```bibtex\n{PAPER_CITATION}\n```\n\n"
         "`DATASHEET.md` answers the questions of a datasheet; `croissant.json` describes every column for machines."
     )
     blocks = [
         front_matter(rows, dict(joined["split"].value_counts().iter_rows()), facts),
-        f"# PlaceBench {facts['tier']} {facts['version']}",
+        f"# {title_of(facts, facts['tier'], facts['version'])}",
+        *notice_of(facts),
         _INTRODUCTION,
-        _facts(frames, facts),
+        _facts(frames, facts, licence),
         f"## Splits\n\n{_ABOUT_SPLITS}",
         _splits(frames, joined),
-        scheme_section(frames, joined),
+        scheme_section(frames, joined, facts),
         f"## Outcomes\n\n{_ABOUT_OUTCOMES}",
         _outcomes(joined),
         "## Scenes",
@@ -127,14 +139,14 @@ def render_card(
         _light(rows, sizes),
         _ABOUT_SIZE,
         *(_schema(ALL_SCHEMAS[name]) for name in sorted(rows)),
-        f"## Limits\n\n{LIMITS}",
-        f"## Licence and citation\n\n{licence}",
+        f"## Limits\n\n{_limits(facts)}",
+        f"## Licence and citation\n\n{licence_and_citation}",
         f"## Checking it\n\n{_CHECKING}",
     ]
     return "\n\n".join(blocks) + "\n"
 
 
-def _facts(frames: Mapping[str, pl.DataFrame], facts: Mapping[str, str]) -> str:
+def _facts(frames: Mapping[str, pl.DataFrame], facts: Mapping[str, str], licence: str) -> str:
     n_scenes = frames["scenes"].height
     lines = [
         ("objects", f"{frames['scenes']['object_id'].n_unique()} of {frames['objects'].height} in the catalogue"),
@@ -147,7 +159,7 @@ def _facts(frames: Mapping[str, pl.DataFrame], facts: Mapping[str, str]) -> str:
             for name, value in sorted(facts.items())
             if name not in ("tier", "version", "scenes_of_tier", "licence")
         ),
-        ("licence", facts["licence"]),
+        ("licence", licence),
     ]
     return table(["fact", "value"], lines, align="ll")
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from splits.manifest import BY_SPLIT, LICENCE, files_of_table
+from splits.own import title_of
+from splits.provenance import is_own
 from tables.schemas import HEAVY_TABLES
 from tables.vocabulary import Split
 
@@ -82,12 +84,12 @@ def front_matter(rows: Mapping[str, int], by_split: Mapping[str, int], facts: Ma
     Args:
         rows: rows of each table of the release by name.
         by_split: candidates of each split.
-        facts: at least `tier` and `version`.
+        facts: at least `tier` and `version`, and the provenance.
     """
     lines = [
         "---",
-        f"license: {LICENCE.lower()}",
-        f"pretty_name: PlaceBench {facts['tier']} {facts['version']}",
+        f"license: {'other' if is_own(facts) else LICENCE.lower()}",
+        f"pretty_name: {title_of(facts, facts['tier'], facts['version'])}",
         "task_categories:",
         "- robotics",
         "- tabular-classification",
