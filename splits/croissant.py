@@ -7,7 +7,6 @@ standard is https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html, t
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from typing import Any
 
 import pyarrow as pa
@@ -15,8 +14,8 @@ import pyarrow as pa
 from splits.citation import Citation
 from splits.data_card import limits
 from splits.hub_card import TAGS
-from splits.manifest import BY_SPLIT, CARD, NAME, FileEntry, Manifest, files_of_table
-from splits.own import LICENCE_OF_OWN
+from splits.manifest import BY_SPLIT, CARD, NAME, Manifest, files_of_table
+from splits.own import LICENCE_OF_OWN, column_meaning, table_meaning
 from splits.provenance import is_own
 from splits.statements import (
     CLEANING,
@@ -104,8 +103,8 @@ def render_croissant(manifest: Manifest, summary: Summary, citation: Citation) -
         **({"identifier": citation.url} if citation.url else {}),
         "isLiveDataset": False,
         **_responsible(manifest, summary),
-        "distribution": [part for name in tables for part in _files(name, manifest.files)],
-        "recordSet": [_split_names(), *(_record_set(ALL_SCHEMAS[name], manifest.tables[name].rows) for name in tables)],
+        "distribution": [part for name in tables for part in _files(name, manifest)],
+        "recordSet": [_split_names(), *(_record_set(ALL_SCHEMAS[name], manifest) for name in tables)],
     }
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
@@ -133,9 +132,9 @@ def _responsible(manifest: Manifest, summary: Summary) -> Json:
     }
 
 
-def _files(table: str, entries: Mapping[str, FileEntry]) -> list[Json]:
+def _files(table: str, manifest: Manifest) -> list[Json]:
     """The files of a table; where they are several, also the set that its records are read from."""
-    about = f"Table {table}: {ALL_SCHEMAS[table].meaning}."
+    about = f"Table {table}: {table_meaning(ALL_SCHEMAS[table], manifest.provenance)}."
     if table in HEAVY_TABLES:
         again = HEAVY_TABLES[table]
         about += " Heavy: a light release leaves it out" + (f", `python -m splits.rebuild DIR {again}` makes it again." if again else ".")
@@ -146,9 +145,9 @@ def _files(table: str, entries: Mapping[str, FileEntry]) -> list[Json]:
             "name": file,
             "description": about,
             "contentUrl": file,
-            "contentSize": f"{entries[file].bytes} B",
+            "contentSize": f"{manifest.files[file].bytes} B",
             "encodingFormat": _PARQUET,
-            "sha256": entries[file].sha256,
+            "sha256": manifest.files[file].sha256,
         }
         for file in files_of_table(table)
     ]
@@ -189,24 +188,24 @@ def _split_names() -> Json:
     }
 
 
-def _record_set(schema: TableSchema, n_rows: int) -> Json:
-    fields = [_field(schema.name, column) for column in schema.columns]
+def _record_set(schema: TableSchema, manifest: Manifest) -> Json:
+    fields = [_field(schema.name, column, column_meaning(column, manifest.provenance)) for column in schema.columns]
     if schema.name in BY_SPLIT:
         fields.append(_split_field(schema.name))
     return {
         "@type": "cr:RecordSet",
         "@id": schema.name,
         "name": schema.name,
-        "description": f"{schema.meaning}. {n_rows} rows.",
+        "description": f"{table_meaning(schema, manifest.provenance)}. {manifest.tables[schema.name].rows} rows.",
         "key": [{"@id": f"{schema.name}/{name}"} for name in schema.key],
         "field": fields,
     }
 
 
-def _field(table: str, column: Column) -> Json:
+def _field(table: str, column: Column, meaning: str) -> Json:
     is_list = pa.types.is_list(column.dtype)
     of = column.dtype.value_type if is_list or pa.types.is_dictionary(column.dtype) else column.dtype
-    about = [column.meaning + (f": {', '.join(column.values)}" if column.values else "")]
+    about = [meaning + (f": {', '.join(column.values)}" if column.values else "")]
     about += [f"Unit: {column.unit}"] if column.unit else []
     about += ["May be null"] if column.nullable else []
     return {

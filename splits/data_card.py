@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import polars as pl
 import pyarrow as pa
@@ -13,7 +13,7 @@ from splits.citation import Citation
 from splits.confidence import confidence_section
 from splits.hub_card import READING, front_matter
 from splits.markdown import count, percent, share, table
-from splits.own import KNOWN_OBJECTS_OF_OWN, LICENCE_OF_OWN, notice_of, title_of
+from splits.own import KNOWN_OBJECTS_OF_OWN, LICENCE_OF_OWN, column_meaning, notice_of, table_meaning, title_of
 from splits.provenance import is_own
 from splits.scheme_section import scheme_section
 from tables.columns import TableSchema
@@ -133,12 +133,12 @@ def render_card(
         "## How sure the labels are",
         confidence_section(frames["candidates"], frame_of(tables["attempts"]) if "attempts" in tables else None),
         "## Tables",
-        _overview(rows, sizes),
+        _overview(rows, sizes, facts),
         _ABOUT_TABLES,
         "## Size, and the light release",
         _light(rows, sizes),
         _ABOUT_SIZE,
-        *(_schema(ALL_SCHEMAS[name]) for name in sorted(rows)),
+        *(_schema(ALL_SCHEMAS[name], facts) for name in sorted(rows)),
         f"## Limits\n\n{_limits(facts)}",
         f"## Licence and citation\n\n{licence_and_citation}",
         f"## Checking it\n\n{_CHECKING}",
@@ -220,11 +220,9 @@ def _scenes(scenes: pl.DataFrame) -> str:
     return table(["scenes", *(f"{n} obstacles" if n != 1 else "1 obstacle" for n in obstacle_counts)], rows)
 
 
-def _overview(rows: Mapping[str, int], sizes: Mapping[str, int]) -> str:
-    lines = [
-        [f"`{name}`", ALL_SCHEMAS[name].meaning, ", ".join(ALL_SCHEMAS[name].key), count(rows[name]), _kilobytes(sizes[name])]
-        for name in sorted(rows)
-    ]
+def _overview(rows: Mapping[str, int], sizes: Mapping[str, int], facts: Mapping[str, str]) -> str:
+    schemas = [ALL_SCHEMAS[name] for name in sorted(rows)]
+    lines = [[f"`{s.name}`", table_meaning(s, facts), ", ".join(s.key), count(rows[s.name]), _kilobytes(sizes[s.name])] for s in schemas]
     return table(["table", "one row is", "key", "rows", "kB"], lines, align="lllrr")
 
 
@@ -243,15 +241,18 @@ def _kilobytes(n_bytes: int) -> str:
     return f"{n_bytes / 1e3:,.1f}"
 
 
-def _schema(schema: TableSchema) -> str:
+def _schema(schema: TableSchema, facts: Mapping[str, str]) -> str:
     rows = [
         [
             f"`{column.name}`",
             str(column.dtype).replace("dictionary<values=string, indices=int16, ordered=0>", "string, dictionary"),
             column.unit,
             "yes" if column.nullable else "",
-            column.meaning.replace("<", "&lt;") + (f": {', '.join(f'`{value}`' for value in column.values)}" if column.values else ""),
+            column_meaning(column, facts).replace("<", "&lt;")
+            + (f": {', '.join(f'`{value}`' for value in column.values)}" if column.values else ""),
         ]
         for column in schema.columns
     ]
-    return f"### `{schema.name}`: {schema.meaning}\n\n" + table(["column", "type", "unit", "null", "meaning"], rows, align="lllll")
+    return f"### `{schema.name}`: {table_meaning(schema, facts)}\n\n" + table(
+        ["column", "type", "unit", "null", "meaning"], rows, align="lllll"
+    )

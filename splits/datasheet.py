@@ -9,7 +9,7 @@ from splits.citation import Citation
 from splits.data_card import PAPER_CITATION, limits
 from splits.manifest import CARD, CROISSANT, MANIFEST, Manifest
 from splits.markdown import count, percent, table
-from splits.own import LICENCE_OF_OWN, notice_of, title_of
+from splits.own import LICENCE_OF_OWN, column_meaning, notice_of, table_meaning, title_of
 from splits.provenance import is_own
 from splits.statements import (
     CLEANING,
@@ -70,7 +70,8 @@ def _motivation(manifest: Manifest, citation: Citation) -> Answers:
 
 
 def _composition(manifest: Manifest, summary: Summary) -> Answers:
-    rows = [[f"`{name}`", ALL_SCHEMAS[name].meaning, count(entry.rows)] for name, entry in sorted(manifest.tables.items())]
+    about = manifest.provenance
+    rows = [[f"`{name}`", table_meaning(ALL_SCHEMAS[name], about), count(entry.rows)] for name, entry in sorted(manifest.tables.items())]
     instances = table(["table", "one row is", "rows"], rows, align="llr")
     heavy = [name for name in sorted(manifest.tables) if name in HEAVY_TABLES]
     return [
@@ -99,7 +100,7 @@ def _composition(manifest: Manifest, summary: Summary) -> Answers:
             "Are there recommended data splits?",
             "Scenes are held out whole. Table `splits` says where each belongs, and the files of `candidates` are divided by its column"
             " `split`. Its columns:\n\n"
-            + _items([f"`{column.name}`: {column.meaning}" for column in SPLITS.columns if column.name not in SPLITS.key]),
+            + _items([f"`{column.name}`: {column_meaning(column, about)}" for column in SPLITS.columns if column.name not in SPLITS.key]),
         ),
         ("Are there errors, sources of noise or redundancies?", label_checks(summary)),
         (

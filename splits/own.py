@@ -7,6 +7,8 @@ from dataclasses import replace
 
 from splits.citation import Citation, Work
 from splits.provenance import is_own
+from tables.columns import Column, TableSchema
+from tables.vocabulary import SplitScheme
 
 # Of a release of one's own; the format is that of the benchmark's.
 LICENCE_OF_OWN = "to be stated by whoever publishes it"
@@ -15,9 +17,20 @@ ABSTRACT_OF_OWN = (
     " and whether that motion, executed in physics, ends in a valid placement. Made by the pipeline of PlaceBench from objects that are not"
     " those of the benchmark, or by another recipe: figures of PlaceBench may not be compared with figures of these data."
 )
+OBJECT_SPLIT_OF_OWN = "train, validation or test by object: an object is in one of them alone"
 KNOWN_OBJECTS_OF_OWN = """\
 - **Known objects.** Column `split` holds out scenes, not objects: an object may occur in all of its parts, and results on it say nothing
   about unseen objects. `split_object` is for that, as far as there are enough objects."""
+
+
+def table_meaning(schema: TableSchema, provenance: Mapping[str, str]) -> str:
+    """What one row of a table is."""
+    return schema.meaning.removeprefix("the benchmark: ") if is_own(provenance) else schema.meaning
+
+
+def column_meaning(column: Column, provenance: Mapping[str, str]) -> str:
+    """What a column says."""
+    return OBJECT_SPLIT_OF_OWN if is_own(provenance) and column.name == SplitScheme.OBJECT.column else column.meaning
 
 
 def title_of(provenance: Mapping[str, str], tier: str, version: str) -> str:

@@ -22,13 +22,8 @@ from tests.splits.damage import PROVENANCE
 OWN = {**PROVENANCE, **own_provenance("my_objects.toml", "my_recipe.toml", Allocation.APPENDED)}
 # What only the benchmark may say of itself.
 CLAIMS = (
-    "30 objects",
-    "PlaceBench pilot",
-    "{PlaceBench",
-    "placebench-pilot",
-    "The PlaceBench contributors",
-    "western supermarkets",
-    "CC-BY-4.0",
+    *("30 objects", "PlaceBench pilot", "{PlaceBench", "placebench-pilot", "The PlaceBench contributors", "western supermarkets"),
+    *("CC-BY-4.0", "the benchmark: every", "6 objects"),
 )
 
 
