@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import polars as pl
 import pyarrow as pa
@@ -253,6 +253,5 @@ def _schema(schema: TableSchema, facts: Mapping[str, str]) -> str:
         ]
         for column in schema.columns
     ]
-    return f"### `{schema.name}`: {table_meaning(schema, facts)}\n\n" + table(
-        ["column", "type", "unit", "null", "meaning"], rows, align="lllll"
-    )
+    columns = table(["column", "type", "unit", "null", "meaning"], rows, align="lllll")
+    return f"### `{schema.name}`: {table_meaning(schema, facts)}\n\n{columns}"
