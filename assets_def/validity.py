@@ -33,6 +33,7 @@ from tables.errors import PlaceBenchError
 from tables.files import write_text_atomically
 from tables.identity import TIERS
 from tables.versions import library_versions
+from tables.vocabulary import Category
 
 CONSOLE, ERRORS = Console(), Console(stderr=True)
 INTERRUPTED = 130  # what a shell reports of a command that Ctrl-C ended
@@ -50,11 +51,12 @@ def validity(
         only: names of the studies that run.
 
     Raises:
-        ReleaseError: there is no release of the tier, or it was made with another recipe than today's.
+        ReleaseError: there is no release of the tier, it was made with another recipe than today's, or it has no objects to measure on.
         LockError: somebody else measures this tier.
     """
     release, recipe = Release.open(benchmark.root.release(tier)), benchmark.recipe_of_tier(tier)
     _check_recipe(release.manifest, recipe)
+    _check_objects(release)
     subject = Subject(release.values, release.table("candidates"), recipe, sizes)
     made_from = {
         "release": release.manifest.release_hash,
@@ -86,6 +88,15 @@ def _check_recipe(manifest: Manifest, recipe: Recipe) -> None:
     stored, today = manifest.provenance["recipe_hash"][:12], recipe.hash_of()[:12]
     if stored != today:
         raise ReleaseError(f"release {manifest.tier}: made with recipe {stored}, must be today's {today} (make dataset again)")
+
+
+def _check_objects(release: Release) -> None:
+    """Theory and the second engine are asked of plain shapes: without them there is nothing to hold the engine against."""
+    found = set(release.table("objects")["category"].to_pylist())
+    if missing := sorted({Category.CAN.value, Category.CUBOID.value} - found):
+        raise ReleaseError(
+            f"release {release.manifest.tier}: no {' and no '.join(missing)} among its objects, must have both to be measured on"
+        )
 
 
 class _Bar:

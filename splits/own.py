@@ -33,11 +33,14 @@ def column_meaning(column: Column, provenance: Mapping[str, str]) -> str:
     return OBJECT_SPLIT_OF_OWN if is_own(provenance) and column.name == SplitScheme.OBJECT.column else column.meaning
 
 
+def name_of(provenance: Mapping[str, str]) -> str:
+    """What a release is called, without its tier."""
+    return f"Dataset of {provenance['catalogue']}" if is_own(provenance) else "PlaceBench"
+
+
 def title_of(provenance: Mapping[str, str], tier: str, version: str) -> str:
-    """What a release is called."""
-    if not is_own(provenance):
-        return f"PlaceBench {tier} {version}"
-    return f"Dataset of {provenance['catalogue']}, {tier}"
+    """What a release is called; the version of one of one's own is that of the format, and no part of its name."""
+    return f"{name_of(provenance)}, {tier}" if is_own(provenance) else f"{name_of(provenance)} {tier} {version}"
 
 
 def notice_of(provenance: Mapping[str, str]) -> list[str]:
