@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from splits.citation import Citation
 from splits.data_card import limits
-from splits.hub_card import TAGS
+from splits.hub_card import BENCHMARK_TAG, TAGS
 from splits.manifest import BY_SPLIT, CARD, NAME, Manifest, files_of_table
 from splits.own import LICENCE_OF_OWN, column_meaning, table_meaning
 from splits.provenance import is_own
@@ -96,7 +96,7 @@ def render_croissant(manifest: Manifest, summary: Summary, citation: Citation) -
         "license": LICENCE_OF_OWN if is_own(manifest.provenance) else LICENCE_URL,
         "url": citation.url or CARD,
         "creator": [{"@type": "sc:Organization", "name": name} for name in citation.work.authors],
-        "keywords": sorted({*TAGS, *citation.keywords}),
+        "keywords": sorted({*TAGS, *citation.keywords} - ({BENCHMARK_TAG} if is_own(manifest.provenance) else set())),
         "inLanguage": "en",
         "citeAs": citation.bibtex(manifest.tier, manifest.version),
         **({"datePublished": date} if (date := citation.date_of(manifest.version)) else {}),

@@ -13,7 +13,7 @@ from splits.citation import Citation
 from splits.confidence import confidence_section
 from splits.hub_card import READING, front_matter
 from splits.markdown import count, percent, share, table
-from splits.own import KNOWN_OBJECTS_OF_OWN, LICENCE_OF_OWN, column_meaning, notice_of, table_meaning, title_of
+from splits.own import FRICTION_OF_OWN, KNOWN_OBJECTS_OF_OWN, LICENCE_OF_OWN, column_meaning, notice_of, table_meaning, title_of
 from splits.provenance import is_own
 from splits.scheme_section import scheme_section
 from tables.columns import TableSchema
@@ -30,6 +30,10 @@ _KNOWN_OBJECTS = """\
 - **Known objects.** Column `split` holds out scenes, not objects: an object may occur in all of its parts, and results on it say nothing
   about unseen objects. `split_object` and `split_category_<name>` are for that, over 30 objects of three categories and no more."""
 
+_FRICTION = """\
+friction (0.32 between pads and printed metal) and the stiffness of the pads are chosen within the
+  bounds of sources that the catalogue and the engine's parameters name"""
+
 _LIMITS = """\
 - **A protocol, not the paper's labels.** The protocol is that of the paper cited below, which used Isaac Sim and cuMotion; here it is
   MuJoCo (held objects), PyBullet (resting ones), OMPL, pinocchio and coal. Rates differ and may not be compared as if they were of the
@@ -37,8 +41,7 @@ _LIMITS = """\
 - **What the hand holds.** Pick-lift and execution are simulated in MuJoCo in the frame of the hand. A pad is its real face of
   17.5 x 18.5 mm in 3 x 3 cells that yield and hold the torque of even pressure: a lever of 6.9 mm about the jaw axis on a flat face, less
   on a line of contact. A finger presses with 50 N, the middle of what the Franka Hand holds continuously, and moves at 0.05 m/s.
-  Cans are exact cylinders there; friction (0.32 between pads and printed metal) and the stiffness of the pads are chosen within the
-  bounds of sources that the catalogue and the engine's parameters name. Force, friction and lever decide which grasps slip: `attempts` has
+  Cans are exact cylinders there; {friction}. Force, friction and lever decide which grasps slip: `attempts` has
   executions with the lever 15 % longer and shorter. The links of the arm do not collide there; the planner keeps them clear, and the
   path audit checks it in a second engine.
 - **Simulation only.** Rigid bodies, Coulomb friction, convex parts instead of exact meshes. No label was confirmed on a robot.
@@ -91,7 +94,8 @@ def limits(provenance: Mapping[str, str]) -> list[str]:
 
 
 def _limits(provenance: Mapping[str, str]) -> str:
-    return _LIMITS.format(known_objects=KNOWN_OBJECTS_OF_OWN if is_own(provenance) else _KNOWN_OBJECTS)
+    own = is_own(provenance)
+    return _LIMITS.format(known_objects=KNOWN_OBJECTS_OF_OWN if own else _KNOWN_OBJECTS, friction=FRICTION_OF_OWN if own else _FRICTION)
 
 
 def render_card(

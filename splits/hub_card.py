@@ -17,7 +17,8 @@ from tables.vocabulary import Split
 DEFAULT_CONFIG = "candidates"
 # The split of a table that is not divided: it holds rows of train, validation and test, so none of those may be its name.
 UNDIVIDED = "all_splits"
-TAGS = ("robotics", "manipulation", "grasping", "placement", "motion-planning", "physics-simulation", "learning-to-rank", "benchmark")
+BENCHMARK_TAG = "benchmark"
+TAGS = ("robotics", "manipulation", "grasping", "placement", "motion-planning", "physics-simulation", "learning-to-rank", BENCHMARK_TAG)
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"), (10_000_000, "1M<n<10M"))
 
 READING = """From inside this folder, in any of these. `candidates` is a folder of one file a split (`candidates/split=test/...`), so every
@@ -94,7 +95,7 @@ def front_matter(rows: Mapping[str, int], by_split: Mapping[str, int], facts: Ma
         "- robotics",
         "- tabular-classification",
         "tags:",
-        *(f"- {tag}" for tag in TAGS),
+        *(f"- {tag}" for tag in TAGS if not (is_own(facts) and tag == BENCHMARK_TAG)),
         "size_categories:",
         f"- {_size(rows[DEFAULT_CONFIG])}",
         "configs:",

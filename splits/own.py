@@ -18,6 +18,9 @@ ABSTRACT_OF_OWN = (
     " those of the benchmark, or by another recipe: figures of PlaceBench may not be compared with figures of these data."
 )
 OBJECT_SPLIT_OF_OWN = "train, validation or test by object: an object is in one of them alone"
+FRICTION_OF_OWN = """\
+the friction of objects is what the catalogue says, the stiffness of the pads is chosen within the
+  bounds of sources that the engine's parameters name"""
 KNOWN_OBJECTS_OF_OWN = """\
 - **Known objects.** Column `split` holds out scenes, not objects: an object may occur in all of its parts, and results on it say nothing
   about unseen objects. `split_object` is for that, as far as there are enough objects."""

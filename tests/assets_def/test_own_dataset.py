@@ -76,6 +76,8 @@ def test_an_appended_object_leaves_every_row_of_the_others(tmp_path: Path) -> No
     assert after.universe("mini")[: len(before.universe("mini"))] == before.universe("mini")
     assert all(report.is_reused for shard in SHARDS for report in after.run(shard)), "what was made is not made again"
 
+    shutil.copytree(after.root.path / "objects", tmp_path / "anew" / "data" / "objects")  # the scenes are what is made anew
+    shutil.copy(after.root.dataset_record(), tmp_path / "anew" / "data")
     anew = benchmark_of(tmp_path / "anew", ("bracket", "wedge", "bottle"))
     for shard in SHARDS:
         anew.run(shard)

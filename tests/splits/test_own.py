@@ -23,7 +23,7 @@ OWN = {**PROVENANCE, **own_provenance("my_objects.toml", "my_recipe.toml", Alloc
 # What only the benchmark may say of itself.
 CLAIMS = (
     *("30 objects", "PlaceBench pilot", "{PlaceBench", "placebench-pilot", "The PlaceBench contributors", "western supermarkets"),
-    *("CC-BY-4.0", "the benchmark: every", "6 objects"),
+    *("CC-BY-4.0", "the benchmark: every", "6 objects", "- benchmark", "printed metal"),
 )
 
 
