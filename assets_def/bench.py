@@ -24,11 +24,13 @@ from rich.table import Column, Table
 
 from assets_def.resources import REPOSITORY, Benchmark
 from assets_def.stages import stage_assets
+from objects.catalogue import PACKAGED_CATALOGUE
 from pipelines import stages
 from pipelines.codecs import scenes_from_tables
 from pipelines.frames import frame_of, scene_id_of_item
 from pipelines.proofs.cpu_profile import largest_costs
 from pipelines.proofs.engine_baselines import bare_tick_us, collision_check_us
+from pipelines.recipe import DEFAULT_RECIPE, load_recipe
 from pipelines.running.data_root import DataRoot
 from pipelines.running.object_tables import make_object_tables
 from pipelines.running.shard_runner import load_shard_inputs, read_timings
@@ -60,7 +62,7 @@ def bench(folder: Path) -> dict[str, object]:
     shutil.rmtree(folder, ignore_errors=True)
     one, two = folder / "one_worker", folder / "two_workers"
     for path in (one, two):
-        make_object_tables(DataRoot(path), Benchmark().recipe("full"), 2, lambda _: None)
+        make_object_tables(DataRoot(path), load_recipe("full"), PACKAGED_CATALOGUE, 2, lambda _: None)
     runs = {
         "one": _build(one, TIMED_SHARD, 1),
         "two": _build(two, TIMED_SHARD, 2),
@@ -71,7 +73,7 @@ def bench(folder: Path) -> dict[str, object]:
     floors = _floors(DataRoot(two))
     floor_ms = _floor_ms(DataRoot(two), shards, floors)
     result = _figures(frame, runs) | floors | {"floor_ms": {" ".join(key): value for key, value in floor_ms.items()}}
-    inputs = load_shard_inputs(DataRoot(two), TIMED_SHARD, Benchmark().recipe("full"))
+    inputs = load_shard_inputs(DataRoot(two), TIMED_SHARD, load_recipe("full"), PACKAGED_CATALOGUE)
     for name in ("planning_labels", "execution_labels"):
         costs = largest_costs(STAGE[name], TIMED_SHARD, DataRoot(two), inputs, N_PROFILED)
         result[f"largest_costs_{name}"] = {function: round(share, 3) for function, share in costs}
@@ -82,11 +84,13 @@ def bench(folder: Path) -> dict[str, object]:
 def _build(path: Path, shard: str, n_workers: int) -> ShardRun:
     # The server of the workers starts once a process, however many shards it builds.
     list(run_units(int, [(0,)] * 4 * n_workers, n_workers, preload=(stages,)))
+    shipped = {"catalogue_path": str(PACKAGED_CATALOGUE), "recipe_path": str(DEFAULT_RECIPE)}
+    benchmark = Benchmark(data_dir=str(path), n_workers=n_workers, **shipped)
     start = time.perf_counter()
     result = materialize(
         stage_assets,
         partition_key=shard,
-        resources={"benchmark": Benchmark(data_dir=str(path), n_workers=n_workers)},
+        resources={"benchmark": benchmark},
         instance=DagsterInstance.ephemeral(),
         run_config={"loggers": {"console": {"config": {"log_level": "WARNING"}}}},
     )
@@ -135,7 +139,7 @@ def _figures(frame: pl.DataFrame, runs: dict[str, ShardRun]) -> dict[str, object
 
 def _floors(root: DataRoot) -> dict[str, dict[str, float]]:
     """Floors of a can, a mug and a cuboid in their first scenes."""
-    inputs = load_shard_inputs(root, TIMED_SHARD, Benchmark().recipe("full"))
+    inputs = load_shard_inputs(root, TIMED_SHARD, load_recipe("full"), PACKAGED_CATALOGUE)
     scenes = scenes_from_tables(*root.read_shard(TIMED_SHARD, [ALL_SCHEMAS[name] for name in ("scenes", "obstacles", "targets")]).values())
     first = [(inputs.object_models[allocation.object_id], scenes[allocation.scene_id]) for allocation in inputs.allocations[:3]]
     return {

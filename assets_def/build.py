@@ -1,5 +1,7 @@
 """Builds a tier from a terminal: `python -m assets_def.build mini|pilot|full`; every step is a Dagster run, visible in the UI.
 
+With `--catalogue FILE` or `--recipe FILE` it is a dataset of one's own, with a data folder and a Dagster instance of its own.
+
 What is up to date is skipped, so a killed build continues where it was: it loses at most the scenes in work and those that were finished
 in the last five seconds, an interrupted one (Ctrl-C) only the scenes in work.
 """
@@ -8,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -35,17 +38,18 @@ from assets_def.proof_assets import attempts_step, audits_step
 from assets_def.ranker_assets import predictions_step, ranker_step
 from assets_def.release_assets import release_step, release_steps
 from assets_def.report_assets import profile_step, report_steps
-from assets_def.resources import Benchmark
+from assets_def.resources import CATALOGUE_VARIABLE, DATA_VARIABLE, RECIPE_VARIABLE, REPOSITORY, Benchmark
 from assets_def.site_assets import site_step
 from assets_def.stages import stage_assets
 from assets_def.steps import Step
 from assets_def.trees_assets import trees_step
+from pipelines.running.dataset_record import check_dataset
 from pipelines.running.shard_runner import is_published
 from pipelines.stages import STAGES
 from reports.load import Task
 from reports.standing import read_metrics, standings
 from tables.errors import PlaceBenchError
-from tables.identity import TIERS, shards_of_tier
+from tables.identity import TIERS
 
 CONSOLE, ERRORS = Console(), Console(stderr=True)
 INTERRUPTED = 130  # what a shell reports of a command that Ctrl-C ended
@@ -65,7 +69,10 @@ def build(tier: str, benchmark: Benchmark, until: str) -> None:
         BuildError: a run failed; finished work is kept.
         StoreError: a published file is missing or broken.
         RecipeError: the recipe cannot be read.
+        CatalogueError: the catalogue cannot be read.
+        DatasetError: the data folder holds another dataset.
     """
+    benchmark.check()
     _build_objects(benchmark)
     _build_shards(tier, benchmark)
     _build_steps(tier, benchmark, until)
@@ -104,7 +111,7 @@ def _steps(tier: str, until: str) -> Iterator[tuple[Step, str, str]]:
 
 
 def _build_shards(tier: str, benchmark: Benchmark) -> None:
-    shards = shards_of_tier(tier)
+    shards = benchmark.layout.shards_of_tier(tier)
     missing = [shard for shard in shards if not _is_complete(shard, benchmark)]
     CONSOLE.print(f"{'shards':<36}{len(shards) - len(missing)} of {len(shards)} up to date")
     start = time.perf_counter()
@@ -209,9 +216,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         default="reports",
         help="release: the release folder and its profile report, nothing else; reports (default): rankers and every report too",
     )
+    parser.add_argument("--catalogue", type=Path, help="file of the objects (the benchmark's)")
+    parser.add_argument("--recipe", type=Path, help="file of the recipe (the benchmark's)")
+    parser.add_argument("--data", type=Path, help="data folder (data; with a catalogue or a recipe of one's own data/own/NAME)")
+    arguments = sys.argv[1:] if arguments is None else arguments
     chosen = parser.parse_args(arguments)
-    benchmark = Benchmark(n_workers=chosen.workers)
     try:
+        _start_over_where_own(chosen, arguments)
+        benchmark = Benchmark(n_workers=chosen.workers)
         build(chosen.tier, benchmark, chosen.until)
     except (KeyboardInterrupt, DagsterExecutionInterruptedError):
         _say_error("interrupted; everything published and every finished scene or epoch is kept, the same command continues there")
@@ -221,6 +233,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     _print_result(chosen.tier, chosen.until, benchmark)
     return 0
+
+
+def _start_over_where_own(chosen: argparse.Namespace, arguments: Sequence[str]) -> None:
+    """Run this command once more with the dataset that it names in its environment, where it is not there yet.
+
+    The partitions of the graph are the shards of one catalogue, made when the graph is loaded, which was before arguments were read.
+
+    Raises:
+        CatalogueError, DatasetError: as `check_dataset`.
+    """
+    given = {CATALOGUE_VARIABLE: chosen.catalogue, RECIPE_VARIABLE: chosen.recipe, DATA_VARIABLE: chosen.data}
+    named = {name: str(path.resolve()) for name, path in given.items() if path is not None}
+    if all(os.environ.get(name) == path for name, path in named.items()):
+        return
+    own = Benchmark()
+    benchmark = Benchmark(
+        catalogue_path=named.get(CATALOGUE_VARIABLE, own.catalogue_path),
+        recipe_path=named.get(RECIPE_VARIABLE, own.recipe_path),
+        data_dir=named.get(DATA_VARIABLE, own.data_dir),
+    )
+    check_dataset(benchmark.root, benchmark.catalogue)
+    benchmark.recipe("full")
+    home = benchmark.root.path / ".dagster_home"
+    home.mkdir(parents=True, exist_ok=True)
+    shutil.copy(REPOSITORY / ".dagster_home" / "dagster.yaml", home)
+    environment = {**os.environ, **named, "DAGSTER_HOME": str(home)}
+    sys.stdout.flush()
+    os.execve(sys.executable, [sys.executable, "-m", "assets_def.build", *arguments], environment)
 
 
 def _say_error(message: str) -> None:

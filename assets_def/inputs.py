@@ -11,13 +11,12 @@ from pipelines.stage import Stage
 from pipelines.stages import STAGES
 from splits.errors import ReleaseError
 from splits.manifest import read_manifest
-from tables.identity import shards_of_tier
 from tables.store import StoreError, read_sidecar
 
 
 def hash_over_shards(benchmark: Benchmark, tier: str, table: str) -> str:
     """SHA-256 over the content hashes of a table in all shards of a tier; raises StoreError where one is not published."""
-    paths = [benchmark.root.shard_table(shard, table) for shard in shards_of_tier(tier)]
+    paths = [benchmark.root.shard_table(shard, table) for shard in benchmark.layout.shards_of_tier(tier)]
     return _sha256("\n".join(read_sidecar(path).content_hash for path in paths))
 
 
@@ -52,7 +51,7 @@ def attempts_hash(benchmark: Benchmark, tier: str) -> dict[str, str]:
 
 def timings_hash(benchmark: Benchmark, tier: str) -> str:
     """SHA-256 over the content hashes of all timings in all shards of a tier; raises StoreError where one is not published."""
-    paths = [benchmark.root.timings(shard, stage.name) for shard in shards_of_tier(tier) for stage in STAGES]
+    paths = [benchmark.root.timings(shard, stage.name) for shard in benchmark.layout.shards_of_tier(tier) for stage in STAGES]
     return _sha256("\n".join(read_sidecar(path).content_hash for path in paths))
 
 

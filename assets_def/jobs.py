@@ -12,8 +12,8 @@ from collections.abc import Collection
 
 from dagster import AssetKey, AssetSelection, Definitions, define_asset_job
 
+from assets_def.partitions import SHARDS_OF_TIER
 from pipelines.stages import STAGES
-from tables.identity import shards_of_tier
 
 OBJECTS = AssetSelection.groups("objects")
 OBJECTS_AND_SHARDS = AssetSelection.groups("objects", *dict.fromkeys(stage.group for stage in STAGES))
@@ -23,9 +23,9 @@ REPORTS = AssetSelection.groups("reports") | AssetSelection.assets(
     "predictions", "decision_times", "candidate_geometry", "tree_predictions", "tree_decision_times"
 )
 
-_SHARDS_OF = {"mini": shards_of_tier("mini"), "pilot": shards_of_tier("pilot"), "full": shards_of_tier("full")}
+_SHARDS_OF = SHARDS_OF_TIER
 # Any other partition may be chosen; without a choice a run of `mini` is of its only shard.
-_MINI = {"dagster/partition": _SHARDS_OF["mini"][0]}
+_MINI = {"dagster/partition": _SHARDS_OF["mini"][0]} if len(_SHARDS_OF["mini"]) == 1 else None
 
 jobs = [
     define_asset_job("objects", selection=OBJECTS, description="Meshes, parts, resting poses and grasp pools of the catalogue."),

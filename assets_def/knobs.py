@@ -21,7 +21,7 @@ import polars as pl
 from rich.console import Console
 
 from assets_def.resources import REPOSITORY
-from objects.catalogue import catalogue_order
+from objects.catalogue import PACKAGED_CATALOGUE, catalogue_order
 from pipelines.recipe import Recipe, load_recipe
 from pipelines.running.data_root import DataRoot
 from pipelines.running.join import join_candidates
@@ -115,9 +115,9 @@ def build(knob: Knob, folder: Path, n_workers: int) -> DataRoot:
     if not root.path.exists():
         # What is published already for the recipe itself: by this command, else by `make dataset`.
         _link(baseline if baseline.exists() else REPOSITORY / "data", root.path)
-    make_object_tables(root, recipe, n_workers, lambda _: None)
+    make_object_tables(root, recipe, PACKAGED_CATALOGUE, n_workers, lambda _: None)
     for shard in SHARDS:
-        inputs = load_shard_inputs(root, shard, recipe)
+        inputs = load_shard_inputs(root, shard, recipe, PACKAGED_CATALOGUE)
         for stage in STAGES:
             run_stage(stage, shard, root, inputs, n_workers)
     return root
@@ -137,9 +137,9 @@ def row(knob: Knob, root: DataRoot, seed: int, shards: Sequence[str] = SHARDS) -
         for name in ("scenes", "targets", "candidate_pairs", "planning_labels", "execution_labels", "policy_features")
     }
     tables["candidates"] = join_candidates(tables["candidate_pairs"], tables["planning_labels"], tables["execution_labels"])
-    universe = family_allocation(shards[0].partition("-")[0], catalogue_order())
+    universe = family_allocation(shards[0].partition("-")[0], catalogue_order(PACKAGED_CATALOGUE))
     scene_ids = tables["scenes"]["scene_id"].to_pylist()
-    tables["splits"] = split_table(scene_ids, universe, SplitParams(), seed)
+    tables["splits"] = split_table(scene_ids, universe, PACKAGED_CATALOGUE, SplitParams(), seed)
     frame, untimed = candidate_frame(tables, seed), timing_frame({})
     executed = frame.filter(pl.col("y_plan"))
     ranked = {(policy, task): rank_groups(frame, policy, task, untimed) for policy in POLICIES for task in Task}

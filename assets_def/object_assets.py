@@ -11,6 +11,7 @@ from assets_def.checks import schema_check, schema_check_spec
 from assets_def.metadata import table_metadata
 from assets_def.resources import Benchmark
 from objects.provenance import OBJECT_CODE_VERSION
+from pipelines.running.dataset_record import claim_dataset
 from pipelines.running.object_tables import are_objects_current, make_object_tables
 from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES
 
@@ -48,7 +49,8 @@ _DESCRIPTIONS = {
 )
 def object_assets(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
     # Objects are shared by all families of scenes: the recipe refuses to have them differ, so that any family may be asked.
-    sidecars = make_object_tables(benchmark.root, benchmark.recipe("full"), benchmark.n_workers, context.log.info)
+    claim_dataset(benchmark.root, benchmark.catalogue)
+    sidecars = make_object_tables(benchmark.root, benchmark.recipe("full"), benchmark.catalogue, benchmark.n_workers, context.log.info)
     for name in ("object_meshes", "object_parts", "stable_poses", "grasp_pool", "objects"):
         path, schema = benchmark.root.object_table(name), ALL_SCHEMAS[name]
         metadata = table_metadata(schema, path, sidecars[name])
@@ -59,4 +61,5 @@ def object_assets(context: AssetExecutionContext, benchmark: Benchmark) -> Itera
 def are_objects_done(benchmark: Benchmark) -> bool:
     """Whether there is nothing to make, and every gate is open: a red one is never passed by because its table is up to date."""
     checks = (schema_check(ALL_SCHEMAS[name], benchmark.root.object_table(name)) for name in OBJECT_TABLES)
-    return are_objects_current(benchmark.root, benchmark.recipe("full")) and all(check.passed for check in checks)
+    is_current = are_objects_current(benchmark.root, benchmark.recipe("full"), benchmark.catalogue)
+    return is_current and all(check.passed for check in checks)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 from dagster import StaticPartitionMapping, StaticPartitionsDefinition
 
+from assets_def.resources import layout_of_graph
 from model.settings import Variant
-from tables.identity import TIERS, shards_of_tier
+from tables.identity import TIERS
 
 SEEDS_OF_TIER = {"mini": (42,), "pilot": (42,), "full": (42, 43, 44)}
 
@@ -35,12 +36,13 @@ def parse_ranker_key(key: str) -> RankerKey:
     return RankerKey(tier, Variant(variant), int(seed))
 
 
-_SHARDS = (*shards_of_tier("mini"), *shards_of_tier("full"))
+SHARDS_OF_TIER = {tier: layout_of_graph().shards_of_tier(tier) for tier in TIERS}
+_SHARDS = (*SHARDS_OF_TIER["mini"], *SHARDS_OF_TIER["full"])
 
 shard_partitions = StaticPartitionsDefinition(list(_SHARDS))
 tier_partitions = StaticPartitionsDefinition(list(TIERS))
 ranker_partitions = StaticPartitionsDefinition([str(key) for tier in TIERS for key in rankers_of_tier(tier)])
 
-shards_to_tiers = StaticPartitionMapping({s: [t for t in TIERS if s in shards_of_tier(t)] for s in _SHARDS})
+shards_to_tiers = StaticPartitionMapping({s: [t for t in TIERS if s in SHARDS_OF_TIER[t]] for s in _SHARDS})
 tiers_to_rankers = StaticPartitionMapping({t: [str(key) for key in rankers_of_tier(t)] for t in TIERS})
 rankers_to_tiers = StaticPartitionMapping({str(key): t for t in TIERS for key in rankers_of_tier(t)})

@@ -26,7 +26,7 @@ from assets_def.partitions import shards_to_tiers, tier_partitions
 from assets_def.products import FilesProduct, TableProduct
 from assets_def.resources import Benchmark
 from assets_def.steps import Step
-from objects.catalogue import catalogue_hash, load_catalogue
+from objects.catalogue import catalogue_hash, catalogue_order, load_catalogue
 from pipelines.recipe import Recipe
 from pipelines.running.join import join_candidates, join_grasps
 from pipelines.running.shard_runner import read_timings
@@ -34,15 +34,16 @@ from pipelines.stages import STAGES
 from splits.citation import CITATION_FILE
 from splits.leakage import find_leaks
 from splits.manifest import DATA_VERSION, MANIFEST, read_manifest
-from splits.provenance import git_commit
+from splits.provenance import git_commit, own_provenance
 from splits.release import release_errors, write_release
 from splits.release_laws import broken_laws
 from splits.scene_groups import SplitParams
-from splits.schemes import catalogue_sizes, empty_parts, split_table
+from splits.schemes import catalogue_sizes, empty_parts, not_applying, parts_of_catalogue, split_table
 from tables.columns import TableSchema
-from tables.identity import family_of_tier, scenes_of_shard, shards_of_tier
+from tables.identity import family_of_tier
 from tables.schemas import ALL_SCHEMAS, CANDIDATES, GRASPS, OBJECT_TABLES, SCHEMA_VERSION, SPLITS
 from tables.store import file_sha256, read_table, read_tables
+from tables.vocabulary import Allocation
 
 RELEASE_CODE_VERSION = "1"  # of the joined tables
 SPLITS_CODE_VERSION = "2"
@@ -142,20 +143,25 @@ def _joined_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult
 def splits_table(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
     tier = context.partition_key
     (splits,) = _splits_products(benchmark, tier)
-    scene_ids = [scene_id for shard in shards_of_tier(tier) for scene_id in scenes_of_shard(shard)]
+    scene_ids = benchmark.layout.scenes_of_tier(tier)
     universe, seed = benchmark.universe(family_of_tier(tier)), benchmark.recipe_of_tier(tier).seed
-    yield from splits.publish(lambda: split_table(scene_ids, universe, SplitParams(), seed))
+    yield from splits.publish(lambda: split_table(scene_ids, universe, benchmark.catalogue, SplitParams(), seed))
+    without = not_applying(dict(catalogue_order(benchmark.catalogue).objects))
+    for scheme, reason in without.items():
+        context.log.info(f"scheme {scheme} is of no use: {reason}")
     for scheme, split in empty_parts(_of_tier(benchmark, tier, "splits")["splits"]):
-        context.log.warning(f"{tier} has no scene in {split} of scheme {scheme}: it can be used on a larger tier only")
+        if scheme not in without:
+            context.log.warning(f"{tier} has no scene in {split} of scheme {scheme}: it can be used on a larger tier only")
     yield from _splits_checks(benchmark, tier)
 
 
 def _splits_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct]:
+    seed, is_appended = benchmark.recipe_of_tier(tier).seed, catalogue_order(benchmark.catalogue).allocation is Allocation.APPENDED
     parameters = {
         "universe": [asdict(allocation) for allocation in benchmark.universe(family_of_tier(tier))],
         "params": asdict(SplitParams()),
-        "sizes": catalogue_sizes(),
-        "seed": benchmark.recipe_of_tier(tier).seed,
+        **({"parts": parts_of_catalogue(benchmark.catalogue, seed)} if is_appended else {"sizes": catalogue_sizes(benchmark.catalogue)}),
+        "seed": seed,
     }
     parameters_sha256 = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()
     made_from = {"code": SPLITS_CODE_VERSION, "tier": tier, "parameters": parameters_sha256}
@@ -218,12 +224,12 @@ def _write_release(benchmark: Benchmark, tier: str, directory: Path) -> list[Pat
         **benchmark.root.read_objects(),
         **{name: _over_shards(benchmark, tier, name) for name in _SHARD_TABLES},
         **_of_tier(benchmark, tier, "candidates", "grasps", "splits"),
-        "timings": read_timings(benchmark.root, shards_of_tier(tier), STAGES),
+        "timings": read_timings(benchmark.root, benchmark.layout.shards_of_tier(tier), STAGES),
     }
     if attempts_hash(benchmark, tier):
         tables |= _of_tier(benchmark, tier, "attempts")
     recipe = benchmark.recipe_of_tier(tier)
-    provenance = {**_provenance(recipe), "git_commit": git_commit()}
+    provenance = {**_provenance(benchmark, recipe), "git_commit": git_commit()}
     manifest = write_release(tables, directory, tier, DATA_VERSION, provenance, recipe.execution.tolerances)
     return [directory / name for name in (MANIFEST, *manifest.files)]
 
@@ -241,7 +247,7 @@ def _release_products(benchmark: Benchmark, tier: str) -> tuple[FilesProduct]:
         **attempts_hash(benchmark, tier),
         "timings": timings_hash(benchmark, tier),
         **{f"tolerances.{name}": str(value) for name, value in asdict(recipe.execution.tolerances).items()},
-        **_provenance(recipe),
+        **_provenance(benchmark, recipe),
     }
     return (FilesProduct(benchmark.root.tier_table(tier, "release").with_suffix(".made_from.json"), made_from),)
 
@@ -261,7 +267,7 @@ release_steps = (
 
 def _over_shards(benchmark: Benchmark, tier: str, name: str) -> pa.Table:
     """A table over an explicit list of shards: a glob would hide a missing one."""
-    return read_tables(ALL_SCHEMAS[name], [benchmark.root.shard_table(shard, name) for shard in shards_of_tier(tier)])
+    return read_tables(ALL_SCHEMAS[name], [benchmark.root.shard_table(shard, name) for shard in benchmark.layout.shards_of_tier(tier)])
 
 
 def _joined_from(benchmark: Benchmark, tier: str, schema: TableSchema) -> tuple[pa.Table, pa.Table, pa.Table]:
@@ -273,9 +279,12 @@ def _of_tier(benchmark: Benchmark, tier: str, *names: str) -> dict[str, pa.Table
     return {name: read_table(ALL_SCHEMAS[name], benchmark.root.tier_table(tier, name)) for name in names}
 
 
-def _provenance(recipe: Recipe) -> dict[str, str]:
+def _provenance(benchmark: Benchmark, recipe: Recipe) -> dict[str, str]:
     """What identifies the making of a release; the commit, which says no more about the tables, is added when it is written."""
-    hashes = {"recipe_hash": recipe.hash_of(), "catalogue_hash": catalogue_hash(load_catalogue())}
+    hashes = {"recipe_hash": recipe.hash_of(), "catalogue_hash": catalogue_hash(load_catalogue(benchmark.catalogue))}
+    if benchmark.is_own:
+        allocation = catalogue_order(benchmark.catalogue).allocation
+        hashes |= own_provenance(benchmark.catalogue.name, benchmark.recipe_file.name, allocation)
     return {**hashes, "recipe_seed": str(recipe.seed), **_code_versions()}
 
 

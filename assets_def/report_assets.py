@@ -21,7 +21,6 @@ from reports.report import Report
 from reports.shard_diagnostics import SHARD_TABLES, shard_diagnostics_report
 from reports.sources import Sources
 from splits.release_reader import Release
-from tables.identity import shards_of_tier
 from tables.schemas import ALL_SCHEMAS
 from tables.store import read_tables
 
@@ -84,15 +83,17 @@ def _made(name: str) -> Callable[[Benchmark, str], Report]:
 
     def make(benchmark: Benchmark, tier: str) -> Report:
         release, beside = Release.open(benchmark.root.release(tier)), benchmark.root.tier_table(tier, name).parent
-        return KINDS[name].make(Sources(release, beside, Path(benchmark.recipe_path)))
+        return KINDS[name].make(Sources(release, beside, benchmark.recipe_file))
 
     return make
 
 
 def _shard_diagnostics(benchmark: Benchmark, tier: str) -> Report:
     """From the shards, because it is looked at before there is a release."""
-    paths = {name: [benchmark.root.shard_table(shard, name) for shard in shards_of_tier(tier)] for name in SHARD_TABLES}
-    return shard_diagnostics_report({name: read_tables(ALL_SCHEMAS[name], paths[name]) for name in SHARD_TABLES}, tier=tier)
+    shards = benchmark.layout.shards_of_tier(tier)
+    paths = {name: [benchmark.root.shard_table(shard, name) for shard in shards] for name in SHARD_TABLES}
+    tables = {name: read_tables(ALL_SCHEMAS[name], paths[name]) for name in SHARD_TABLES}
+    return shard_diagnostics_report(tables, tier=tier, layout=benchmark.layout)
 
 
 _SCORES = ("predictions", TREE_PREDICTIONS)

@@ -64,7 +64,7 @@ def sample_films(context: AssetExecutionContext, benchmark: Benchmark) -> Materi
 
     def make() -> tuple[list[Path], dict[str, Any]]:
         release = Release.open(benchmark.root.release(tier))
-        sources = Sources(release, benchmark.root.tier_table(tier, "attempts").parent, Path(benchmark.recipe_path))
+        sources = Sources(release, benchmark.root.tier_table(tier, "attempts").parent, benchmark.recipe_file)
         shutil.rmtree(directory / "films", ignore_errors=True)  # of another release or other code
         return write_films(sources, directory / "films", log=context.log.info), {}
 

@@ -20,7 +20,7 @@ from rich.markdown import Markdown
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from assets_def.inputs import source_version
-from assets_def.resources import REPOSITORY, Benchmark
+from assets_def.resources import Benchmark
 from pipelines.proofs.validity.studies import STUDIES, StudyProgress, numbers_of, run_studies
 from pipelines.proofs.validity.subject import Sizes, Subject
 from pipelines.recipe import Recipe
@@ -33,6 +33,7 @@ from tables.errors import PlaceBenchError
 from tables.files import write_text_atomically
 from tables.identity import TIERS
 from tables.versions import library_versions
+from tables.vocabulary import Category
 
 CONSOLE, ERRORS = Console(), Console(stderr=True)
 INTERRUPTED = 130  # what a shell reports of a command that Ctrl-C ended
@@ -50,11 +51,12 @@ def validity(
         only: names of the studies that run.
 
     Raises:
-        ReleaseError: there is no release of the tier, or it was made with another recipe than today's.
+        ReleaseError: there is no release of the tier, it was made with another recipe than today's, or it has no objects to measure on.
         LockError: somebody else measures this tier.
     """
     release, recipe = Release.open(benchmark.root.release(tier)), benchmark.recipe_of_tier(tier)
     _check_recipe(release.manifest, recipe)
+    _check_objects(release)
     subject = Subject(release.values, release.table("candidates"), recipe, sizes)
     made_from = {
         "release": release.manifest.release_hash,
@@ -79,13 +81,22 @@ def report_path(tier: str, benchmark: Benchmark, only: Collection[str]) -> Path:
     """Where the text of a report lies, the numbers beside it: one of some studies never replaces one of all."""
     chosen = [name for name in STUDIES if name in only]
     name = "validity" if len(chosen) == len(STUDIES) else f"validity-{tier}-{'+'.join(chosen)}"
-    return REPOSITORY / benchmark.reports_dir / f"{name}.md"
+    return benchmark.reports / f"{name}.md"
 
 
 def _check_recipe(manifest: Manifest, recipe: Recipe) -> None:
     stored, today = manifest.provenance["recipe_hash"][:12], recipe.hash_of()[:12]
     if stored != today:
         raise ReleaseError(f"release {manifest.tier}: made with recipe {stored}, must be today's {today} (make dataset again)")
+
+
+def _check_objects(release: Release) -> None:
+    """Theory and the second engine are asked of plain shapes: without them there is nothing to hold the engine against."""
+    found = set(release.table("objects")["category"].to_pylist())
+    if missing := sorted({Category.CAN.value, Category.CUBOID.value} - found):
+        raise ReleaseError(
+            f"release {release.manifest.tier}: no {' and no '.join(missing)} among its objects, must have both to be measured on"
+        )
 
 
 class _Bar:
@@ -122,8 +133,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--only", nargs="+", choices=STUDIES, default=tuple(STUDIES), metavar="STUDY", help=f"studies to run (all): {', '.join(STUDIES)}"
     )
     parser.add_argument("--data", default=Benchmark().data_dir, help="data folder; a relative one is below the checkout")
+    parser.add_argument("--recipe", default=Benchmark().recipe_path, help="that the release was made with; relative as the data folder")
     chosen = parser.parse_args(arguments)
-    benchmark = Benchmark(n_workers=chosen.workers, data_dir=chosen.data)
+    benchmark = Benchmark(n_workers=chosen.workers, data_dir=chosen.data, recipe_path=chosen.recipe)
     try:
         report = validity(chosen.tier, benchmark, Sizes.of_tier(chosen.tier), only=chosen.only)
     except KeyboardInterrupt:

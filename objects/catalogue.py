@@ -1,7 +1,8 @@
 """The catalogue file: what each object is, in metres and kilograms, checked key by key; its geometry is made in solids.
 
 A file holds one `[[object]]` table an object. Keys of every category: `id`, `category`, `name`, `source`, `mass_kg`, and optionally
-`friction`, `symmetry`, `com_offset_m`. The rest describe the shape: see the shape classes below, whose fields are the keys.
+`friction`, `symmetry`, `com_offset_m`. The rest describe the shape: see the shape classes below, whose fields are the keys. Before the
+objects a file may say `allocation`: how they take the scenes, `appended` where it says nothing (see pipelines/scenes/allocation.py).
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from objects.errors import CatalogueError
-from tables.vocabulary import Category, Symmetry
+from tables.identity import IdentityError
+from tables.layout import Layout, layout_of
+from tables.vocabulary import Allocation, Category, Symmetry
 
 PACKAGED_CATALOGUE = Path(__file__).with_name("catalogue.toml")
 
@@ -94,6 +97,27 @@ class ObjectSpec:
     com_offset_m: tuple[float, float, float]
 
 
+@dataclass(frozen=True, slots=True)
+class CatalogueOrder:
+    """What scenes are allocated from: (object id, category) in file order, and how the objects take the scenes."""
+
+    objects: tuple[tuple[str, str], ...]
+    allocation: Allocation
+
+    def __post_init__(self) -> None:
+        if not self.objects:
+            raise CatalogueError("the catalogue has 0 objects, must have at least 1")
+        try:
+            layout_of(self.allocation, len(self.objects))
+        except IdentityError as error:
+            raise CatalogueError(f"catalogue: {error}") from error
+
+    @property
+    def layout(self) -> Layout:
+        """Scenes, shards and tiers of a dataset of this catalogue."""
+        return layout_of(self.allocation, len(self.objects))
+
+
 def load_catalogue(path: Path = PACKAGED_CATALOGUE, allow_outside: bool = False) -> tuple[ObjectSpec, ...]:
     """Entries of a catalogue file, in file order.
 
@@ -103,34 +127,23 @@ def load_catalogue(path: Path = PACKAGED_CATALOGUE, allow_outside: bool = False)
     Raises:
         CatalogueError: the file is missing or not TOML, or an entry has an unknown or missing key or a value out of bounds.
     """
+    return _specs(_content(path), path, allow_outside)
+
+
+def catalogue_order(path: Path) -> CatalogueOrder:
+    """What scene allocations of a catalogue file are made from; raises as `load_catalogue`, and where it has too many objects."""
+    content = _content(path)
+    objects = tuple((spec.object_id, spec.category.value) for spec in _specs(content, path))
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CatalogueError(f"{path}: cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise CatalogueError(f"{path}: not TOML: {error}") from error
-    if strange := sorted(content.keys() - {"object"}):
-        raise CatalogueError(f"{path}: unknown key {strange[0]!r}, expected [[object]] tables only")
-    entries = content.get("object", [])
-    if not isinstance(entries, list) or not entries:
-        raise CatalogueError(f"{path}: 0 objects, must be at least 1 [[object]] table")
-    specs = tuple(_spec(entry, k, path.parent, allow_outside) for k, entry in enumerate(entries))
-    ids = [spec.object_id for spec in specs]
-    for object_id in ids:
-        if ids.count(object_id) > 1:
-            raise CatalogueError(f"{object_id}: id used {ids.count(object_id)} times, must be 1")
-    return specs
-
-
-def catalogue_order() -> list[tuple[str, str]]:
-    """(object id, category) of the packaged catalogue, in file order: what scene allocations are made from."""
-    return [(spec.object_id, spec.category.value) for spec in load_catalogue()]
+        return CatalogueOrder(objects, Allocation(content.get("allocation", Allocation.APPENDED)))
+    except CatalogueError as error:
+        raise CatalogueError(f"{path}: {error}") from error
 
 
 def catalogue_hash(specs: Sequence[ObjectSpec]) -> str:
     """SHA-256 of parsed entries in their order: comments, spacing and the order of keys in the file do not change it.
 
-    A mesh file of the user's enters by its content, not by its path.
+    A mesh file of the user's enters by its content (and its suffix, which says how to read it), not by its path.
     """
     content = json.dumps([identity_of(spec) for spec in specs], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()
@@ -139,7 +152,7 @@ def catalogue_hash(specs: Sequence[ObjectSpec]) -> str:
 def identity_of(spec: ObjectSpec) -> dict[str, Any]:
     """An entry as it decides the object; a mesh file counts by what is in it (and its suffix, which says how to read it).
 
-    A mesh file that cannot be read has an identity, too: building it says what is wrong.
+    Files that a mesh file refers to are not looked at. One that cannot be read has an identity, too: building it says what is wrong.
     """
     entry: dict[str, Any] = dataclasses.asdict(spec)
     if isinstance(spec.shape, MeshShape):
@@ -149,6 +162,33 @@ def identity_of(spec: ObjectSpec) -> dict[str, Any]:
             content = "unreadable"
         entry["shape"] |= {"path": f"{content}{spec.shape.path.suffix}", "code": MESH_CODE_VERSION}
     return entry
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """The keys of a catalogue file, those of the objects unchecked."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CatalogueError(f"{path}: cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise CatalogueError(f"{path}: not TOML: {error}") from error
+    if strange := sorted(content.keys() - {"object", "allocation"}):
+        raise CatalogueError(f"{path}: unknown key {strange[0]!r}, expected allocation and [[object]] tables only")
+    if "allocation" in content and content["allocation"] not in list(Allocation):
+        raise CatalogueError(f"{path}: allocation {content['allocation']!r}, must be one of {[a.value for a in Allocation]}")
+    return content
+
+
+def _specs(content: Mapping[str, Any], path: Path, allow_outside: bool = False) -> tuple[ObjectSpec, ...]:
+    entries = content.get("object", [])
+    if not isinstance(entries, list) or not entries:
+        raise CatalogueError(f"{path}: 0 objects, must be at least 1 [[object]] table")
+    specs = tuple(_spec(entry, k, path.parent, allow_outside) for k, entry in enumerate(entries))
+    ids = [spec.object_id for spec in specs]
+    for object_id in ids:
+        if ids.count(object_id) > 1:
+            raise CatalogueError(f"{object_id}: id used {ids.count(object_id)} times, must be 1")
+    return specs
 
 
 _COMMON_KEYS = {"id", "category", "name", "source", "mass_kg", "friction", "symmetry", "com_offset_m"}

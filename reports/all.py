@@ -1,6 +1,6 @@
 """Every report of a release that can be rendered without labelling or training anything: `make reports TIER=full`.
 
-`python -m reports.all RELEASE [--split SCHEME] [--predictions DIR] [--out DIR]`
+`python -m reports.all RELEASE [--split SCHEME] [--predictions DIR] [--recipe FILE] [--out DIR]`
 
 Read are the release, whole or light, and the folder of tables that were made about it, by default `data/predictions/TIER` beside
 `data/release/TIER`, or `data/tiers/TIER` where a build left them: predictions.parquet, decision_times.parquet, tree_predictions.parquet,
@@ -21,9 +21,10 @@ from pathlib import Path
 from typing import Any
 
 from model.settings import scheme_named
+from pipelines.recipe import DEFAULT_RECIPE
 from reports.kinds import KINDS, Kind
 from reports.sources import Sources, folder_beside
-from splits.release_reader import Release
+from splits.release_reader import Release, report_folder
 from tables.errors import PlaceBenchError
 from tables.vocabulary import SplitScheme
 
@@ -74,7 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("release", type=Path, help="folder of a release")
     parser.add_argument("--split", default=SplitScheme.SCENE.value, help=f"one of {', '.join(scheme.value for scheme in SplitScheme)}")
     parser.add_argument("--predictions", type=Path, metavar="DIR", help="folder of the tables about it")
-    parser.add_argument("--out", type=Path, help="folder for the reports (reports/out/TIER, or reports/out/TIER/SCHEME)")
+    parser.add_argument("--recipe", type=Path, default=DEFAULT_RECIPE, help="that the release was made with, for films (the benchmark's)")
+    parser.add_argument("--out", type=Path, help="folder for the reports (those of the tier, or a folder of the scheme there)")
     chosen = parser.parse_args(arguments)
     try:
         scheme, release = scheme_named(chosen.split), Release.open(chosen.release)
@@ -82,8 +84,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     tier = release.manifest.tier
-    out = chosen.out or Path("reports/out", tier, *([] if scheme is SplitScheme.SCENE else [scheme.value]))
-    rendered = render_all(Sources(release, chosen.predictions or folder_beside(chosen.release, tier, scheme), scheme=scheme), out)
+    out = chosen.out or Path(report_folder(release), *([] if scheme is SplitScheme.SCENE else [scheme.value]))
+    beside = chosen.predictions or folder_beside(chosen.release, tier, scheme)
+    rendered = render_all(Sources(release, beside, chosen.recipe, scheme), out)
     rest = [f"{name.replace('_', ' ')}: {', '.join(names)}" for name in ("left_out", "failed") if (names := getattr(rendered, name))]
     print("; ".join([f"{len(rendered.made)} of {len(kinds_under(scheme))} reports in {out}", *rest]))
     return 1 if rendered.failed else 0

@@ -79,7 +79,8 @@ def _missing(sources: Sources, wanted: Mapping[str, tuple[str, ...]]) -> list[st
 
 def _shard_diagnostics(sources: Sources) -> Report:
     joined = sources.tables(("candidates", "grasps"))
-    return shard_diagnostics_report({**sources.tables(("scenes", "targets")), **stage_tables(joined)}, tier=sources.tier)
+    tables = {**sources.tables(("scenes", "targets")), **stage_tables(joined)}
+    return shard_diagnostics_report(tables, tier=sources.tier, layout=sources.release.manifest.layout)
 
 
 def _profile(sources: Sources) -> Report:

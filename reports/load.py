@@ -107,7 +107,11 @@ def check_parts(tables: Mapping[str, pa.Table], scheme: SplitScheme, needed: Seq
     found = set(_splits(tables, scheme)["split"].to_list())
     for split in needed:
         if split.value not in found:
-            raise ReportError(f"splits: 0 scenes in {split.value} of scheme {scheme.value}, must be at least 1: take a larger tier")
+            categories = ", ".join(sorted(frame_of(tables["scenes"], ["category"])["category"].unique()))
+            raise ReportError(
+                f"splits: 0 scenes in {split.value} of scheme {scheme.value}, must be at least 1: take a larger tier, or another split"
+                f" where the catalogue has nothing for this one (the scenes here are of {categories})"
+            )
 
 
 def of_scheme(scheme: SplitScheme) -> str:

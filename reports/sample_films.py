@@ -20,11 +20,11 @@ from pipelines.labels.planning import motion_of
 from pipelines.pictures.filmstrip import film, filmstrip
 from pipelines.pictures.recording import Recording, record_execution, record_rejection
 from pipelines.pictures.trace import trace
-from pipelines.recipe import Recipe
+from pipelines.recipe import DEFAULT_RECIPE, Recipe
 from reports.report import ReportError
 from reports.sources import Sources
 from splits.examples import chosen_by_outcome
-from splits.release_reader import Release
+from splits.release_reader import Release, report_folder
 from tables.errors import PlaceBenchError
 from tables.store import write_bytes_atomically
 
@@ -86,12 +86,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m reports.sample_films", description=about, epilog=more.rpartition("\n\n")[2])
     parser.add_argument("release", type=Path, help="folder of a release")
     parser.add_argument("--each", type=int, default=N_FILMS_EACH, metavar="N", help="films of an outcome and category (2)")
-    parser.add_argument("--out", type=Path, help="folder for the films (films/ in reports/out/TIER)")
+    parser.add_argument("--recipe", type=Path, default=DEFAULT_RECIPE, help="that the release was made with (the benchmark's)")
+    parser.add_argument("--out", type=Path, help="folder for the films (films/ among the reports of the tier)")
     chosen = parser.parse_args(arguments)
     try:
         release = Release.open(chosen.release)
-        out = chosen.out or Path("reports/out") / release.manifest.tier / "films"
-        paths = write_films(Sources(release, chosen.release), out, chosen.each)
+        out = chosen.out or report_folder(release) / "films"
+        paths = write_films(Sources(release, chosen.release, chosen.recipe), out, chosen.each)
     except (PlaceBenchError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from pipelines.frames import frame_of
 from reports.report import Report, ReportError
 from splits.markdown import percent, table
-from tables.identity import shard_of_scene
+from tables.layout import Layout
 from tables.vocabulary import LiftStatus
 
 # The tables of a shard that the report reads.
@@ -45,17 +45,18 @@ RULE = (
 )
 
 
-def shard_diagnostics_report(tables: Mapping[str, pa.Table], *, tier: str) -> Report:
+def shard_diagnostics_report(tables: Mapping[str, pa.Table], *, tier: str, layout: Layout) -> Report:
     """Report `shard_diagnostics`.
 
     Args:
         tables: `SHARD_TABLES` by name, each over all shards of the tier.
         tier: printed in the title.
+        layout: says which shard a scene is of.
 
     Raises:
         ReportError: a table is missing or there are no scenes.
     """
-    frame = shard_frame(tables)
+    frame = shard_frame(tables, layout)
     scores = {name: robust_z(frame[name].to_list()) for name in MEASURES}
     flagged = [(shard, name, z) for name in MEASURES for shard, z in zip(frame["shard"], scores[name], strict=True) if abs(z) > Z_LIMIT]
     metrics = {"n_shards": float(frame.height), "n_flagged": float(len({shard for shard, _, _ in flagged}))}
@@ -68,7 +69,7 @@ def shard_diagnostics_report(tables: Mapping[str, pa.Table], *, tier: str) -> Re
     return Report("shard_diagnostics", "\n\n".join([*blocks, "## Every shard", _table(frame, scores)]) + "\n", {}, metrics)
 
 
-def shard_frame(tables: Mapping[str, pa.Table]) -> pl.DataFrame:
+def shard_frame(tables: Mapping[str, pa.Table], layout: Layout) -> pl.DataFrame:
     """One row a shard, sorted: `shard`, `n_scenes` and `MEASURES`; a share of nothing is null."""
     missing = sorted(set(SHARD_TABLES) - set(tables))
     if missing:
@@ -86,10 +87,10 @@ def shard_frame(tables: Mapping[str, pa.Table]) -> pl.DataFrame:
     groups = frame_of(tables["targets"], ["scene_id", "target_id"]).join(covered, on=["scene_id", "target_id"], how="left")
     per_scene = scenes.join(candidates.group_by("scene_id").agg(n=pl.len()), on="scene_id", how="left")
     parts = (
-        _by_shard(per_scene).agg(n_scenes=pl.len(), candidates_per_scene=pl.col("n").fill_null(0).mean()),
-        _by_shard(lifts).agg(pl.col("lifted").mean()),
-        _by_shard(candidates).agg(planned=pl.col("y_plan").mean(), succeeded=pl.col("y_pipe").mean()),
-        _by_shard(groups).agg(coverage=pl.col("covered").fill_null(False).mean()),
+        _by_shard(per_scene, layout).agg(n_scenes=pl.len(), candidates_per_scene=pl.col("n").fill_null(0).mean()),
+        _by_shard(lifts, layout).agg(pl.col("lifted").mean()),
+        _by_shard(candidates, layout).agg(planned=pl.col("y_plan").mean(), succeeded=pl.col("y_pipe").mean()),
+        _by_shard(groups, layout).agg(coverage=pl.col("covered").fill_null(False).mean()),
     )
     frame = parts[0]
     for part in parts[1:]:
@@ -108,8 +109,8 @@ def robust_z(values: Sequence[float | None]) -> Float[np.ndarray, "n"]:
     return np.nan_to_num((x - np.median(known)) / scale) if scale else np.zeros(len(x))
 
 
-def _by_shard(frame: pl.DataFrame) -> pl.dataframe.group_by.GroupBy:
-    shard_of = {scene_id: shard_of_scene(scene_id) for scene_id in frame["scene_id"].unique()}
+def _by_shard(frame: pl.DataFrame, layout: Layout) -> pl.dataframe.group_by.GroupBy:
+    shard_of = {scene_id: layout.shard_of_scene(scene_id) for scene_id in frame["scene_id"].unique()}
     return frame.with_columns(shard=pl.col("scene_id").cast(pl.String).replace_strict(shard_of, return_dtype=pl.String)).group_by("shard")
 
 

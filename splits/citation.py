@@ -40,6 +40,8 @@ class Citation:
         version: of the data that the code makes, and that was released on `date`.
         date: of that version, `year-month-day`.
         doi: None as long as the data are not deposited anywhere.
+        key: of the BibTeX entry.
+        has_date: whether `date` is that of the data.
         protocol: the paper whose protocol the data follow.
     """
 
@@ -50,6 +52,8 @@ class Citation:
     doi: str | None
     keywords: tuple[str, ...]
     protocol: Work
+    key: str = "placebench"
+    has_date: bool = True
 
     def __post_init__(self) -> None:
         check_version("version", self.version)
@@ -63,16 +67,21 @@ class Citation:
         """Where the data are found for good; None without a DOI."""
         return None if self.doi is None else f"https://doi.org/{self.doi}"
 
+    def date_of(self, version: str) -> str | None:
+        """When a version of the data was released; None where that is not known: the file knows the date of one version."""
+        return self.date if self.has_date and version == self.version else None
+
     def bibtex(self, tier: str, version: str) -> str:
-        """BibTeX of a release; the date is that of its version, left out where that is another than the one the file knows."""
+        """BibTeX of a release; the year is that of its version, left out where it is not known."""
+        date = self.date_of(version)
         lines = [
             f"  title   = {{{{{self.work.title} ({tier})}}}}",
             f"  author  = {{{' and '.join(f'{{{name}}}' for name in self.work.authors)}}}",
-            *([f"  year    = {{{self.date[:4]}}}"] if version == self.version else []),
+            *([f"  year    = {{{date[:4]}}}"] if date else []),
             f"  version = {{{version}}}",
             *([f"  doi     = {{{self.doi}}}"] if self.doi else []),
         ]
-        return "@misc{placebench,\n" + ",\n".join(lines) + "\n}"
+        return f"@misc{{{self.key},\n" + ",\n".join(lines) + "\n}"
 
 
 def load_citation(path: Path = CITATION_FILE) -> Citation:

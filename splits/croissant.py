@@ -7,20 +7,22 @@ standard is https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html, t
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from typing import Any
 
 import pyarrow as pa
 
 from splits.citation import Citation
 from splits.data_card import limits
-from splits.hub_card import TAGS
-from splits.manifest import BY_SPLIT, CARD, NAME, FileEntry, Manifest, files_of_table
+from splits.hub_card import BENCHMARK_TAG, TAGS
+from splits.manifest import BY_SPLIT, CARD, NAME, Manifest, files_of_table
+from splits.own import LICENCE_OF_OWN, column_meaning, table_meaning
+from splits.provenance import is_own
 from splits.statements import (
     CLEANING,
     MAINTENANCE,
     MISSING,
     MISUSES,
+    OWN_PURPOSE,
     PURPOSE,
     SENSITIVE,
     SOCIAL_IMPACT,
@@ -81,28 +83,28 @@ def render_croissant(manifest: Manifest, summary: Summary, citation: Citation) -
     Args:
         manifest: of the release; its entries of texts are not looked at.
         summary: counts in its tables.
-        citation: how the data are cited.
+        citation: how the data are cited; see `own.citation_of`.
     """
     tables = sorted(manifest.tables)
     content = {
         "@context": CONTEXT,
         "@type": "sc:Dataset",
         "conformsTo": list(CONFORMS_TO),
-        "name": f"{NAME}-{manifest.tier}",
-        "description": f"{citation.abstract} {PURPOSE}",
+        "name": f"own-dataset-{manifest.tier}" if is_own(manifest.provenance) else f"{NAME}-{manifest.tier}",
+        "description": f"{citation.abstract} {OWN_PURPOSE if is_own(manifest.provenance) else PURPOSE}",
         "version": manifest.version,
-        "license": LICENCE_URL,
+        "license": LICENCE_OF_OWN if is_own(manifest.provenance) else LICENCE_URL,
         "url": citation.url or CARD,
         "creator": [{"@type": "sc:Organization", "name": name} for name in citation.work.authors],
-        "keywords": sorted({*TAGS, *citation.keywords}),
+        "keywords": sorted({*TAGS, *citation.keywords} - ({BENCHMARK_TAG} if is_own(manifest.provenance) else set())),
         "inLanguage": "en",
         "citeAs": citation.bibtex(manifest.tier, manifest.version),
-        **({"datePublished": citation.date} if manifest.version == citation.version else {}),
+        **({"datePublished": date} if (date := citation.date_of(manifest.version)) else {}),
         **({"identifier": citation.url} if citation.url else {}),
         "isLiveDataset": False,
         **_responsible(manifest, summary),
-        "distribution": [part for name in tables for part in _files(name, manifest.files)],
-        "recordSet": [_split_names(), *(_record_set(ALL_SCHEMAS[name], manifest.tables[name].rows) for name in tables)],
+        "distribution": [part for name in tables for part in _files(name, manifest)],
+        "recordSet": [_split_names(), *(_record_set(ALL_SCHEMAS[name], manifest) for name in tables)],
     }
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
@@ -121,18 +123,18 @@ def _responsible(manifest: Manifest, summary: Summary) -> Json:
         "rai:dataAnnotationAnalysis": [label_checks(summary)],
         "rai:annotationsPerItem": "One execution of the pipeline; repeats are in table attempts where the release holds it.",
         "rai:machineAnnotationTools": tools,
-        "rai:dataBiases": list(biases(summary)),
+        "rai:dataBiases": list(biases(summary, manifest.provenance)),
         "rai:dataUseCases": [*USES, *(f"Not for: {misuse}" for misuse in MISUSES)],
-        "rai:dataLimitations": limits(),
+        "rai:dataLimitations": limits(manifest.provenance),
         "rai:dataSocialImpact": SOCIAL_IMPACT,
         "rai:personalSensitiveInformation": [SENSITIVE],
         "rai:dataReleaseMaintenancePlan": MAINTENANCE,
     }
 
 
-def _files(table: str, entries: Mapping[str, FileEntry]) -> list[Json]:
+def _files(table: str, manifest: Manifest) -> list[Json]:
     """The files of a table; where they are several, also the set that its records are read from."""
-    about = f"Table {table}: {ALL_SCHEMAS[table].meaning}."
+    about = f"Table {table}: {table_meaning(ALL_SCHEMAS[table], manifest.provenance)}."
     if table in HEAVY_TABLES:
         again = HEAVY_TABLES[table]
         about += " Heavy: a light release leaves it out" + (f", `python -m splits.rebuild DIR {again}` makes it again." if again else ".")
@@ -143,9 +145,9 @@ def _files(table: str, entries: Mapping[str, FileEntry]) -> list[Json]:
             "name": file,
             "description": about,
             "contentUrl": file,
-            "contentSize": f"{entries[file].bytes} B",
+            "contentSize": f"{manifest.files[file].bytes} B",
             "encodingFormat": _PARQUET,
-            "sha256": entries[file].sha256,
+            "sha256": manifest.files[file].sha256,
         }
         for file in files_of_table(table)
     ]
@@ -186,24 +188,24 @@ def _split_names() -> Json:
     }
 
 
-def _record_set(schema: TableSchema, n_rows: int) -> Json:
-    fields = [_field(schema.name, column) for column in schema.columns]
+def _record_set(schema: TableSchema, manifest: Manifest) -> Json:
+    fields = [_field(schema.name, column, column_meaning(column, manifest.provenance)) for column in schema.columns]
     if schema.name in BY_SPLIT:
         fields.append(_split_field(schema.name))
     return {
         "@type": "cr:RecordSet",
         "@id": schema.name,
         "name": schema.name,
-        "description": f"{schema.meaning}. {n_rows} rows.",
+        "description": f"{table_meaning(schema, manifest.provenance)}. {manifest.tables[schema.name].rows} rows.",
         "key": [{"@id": f"{schema.name}/{name}"} for name in schema.key],
         "field": fields,
     }
 
 
-def _field(table: str, column: Column) -> Json:
+def _field(table: str, column: Column, meaning: str) -> Json:
     is_list = pa.types.is_list(column.dtype)
     of = column.dtype.value_type if is_list or pa.types.is_dictionary(column.dtype) else column.dtype
-    about = [column.meaning + (f": {', '.join(column.values)}" if column.values else "")]
+    about = [meaning + (f": {', '.join(column.values)}" if column.values else "")]
     about += [f"Unit: {column.unit}"] if column.unit else []
     about += ["May be null"] if column.nullable else []
     return {

@@ -14,6 +14,8 @@ from splits.confidence import confidence_section
 from splits.examples import examples_section
 from splits.hub_card import READING, front_matter
 from splits.markdown import count, percent, share, table
+from splits.own import FRICTION_OF_OWN, KNOWN_OBJECTS_OF_OWN, LICENCE_OF_OWN, column_meaning, notice_of, table_meaning, title_of
+from splits.provenance import is_own
 from splits.scheme_section import scheme_section
 from tables.columns import TableSchema
 from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES
@@ -25,22 +27,28 @@ PAPER_CITATION = """@misc{liu_execution_aware_ranking,
   note   = {Deakin University}
 }"""
 
-LIMITS = """\
+_KNOWN_OBJECTS = """\
+- **Known objects.** Column `split` holds out scenes, not objects: an object may occur in all of its parts, and results on it say nothing
+  about unseen objects. `split_object` and `split_category_<name>` are for that, over 30 objects of three categories and no more."""
+
+_FRICTION = """\
+friction (0.32 between pads and printed metal) and the stiffness of the pads are chosen within the
+  bounds of sources that the catalogue and the engine's parameters name"""
+
+_LIMITS = """\
 - **A protocol, not the paper's labels.** The protocol is that of the paper cited below, which used Isaac Sim and cuMotion; here it is
   MuJoCo (held objects), PyBullet (resting ones), OMPL, pinocchio and coal. Rates differ and may not be compared as if they were of the
   same data.
 - **What the hand holds.** Pick-lift and execution are simulated in MuJoCo in the frame of the hand. A pad is its real face of
   17.5 x 18.5 mm in 3 x 3 cells that yield and hold the torque of even pressure: a lever of 6.9 mm about the jaw axis on a flat face, less
   on a line of contact. A finger presses with 50 N, the middle of what the Franka Hand holds continuously, and moves at 0.05 m/s.
-  Cans are exact cylinders there; friction (0.32 between pads and printed metal) and the stiffness of the pads are chosen within the
-  bounds of sources that the catalogue and the engine's parameters name. Force, friction and lever decide which grasps slip: `attempts` has
+  Cans are exact cylinders there; {friction}. Force, friction and lever decide which grasps slip: `attempts` has
   executions with the lever 15 % longer and shorter. The links of the arm do not collide there; the planner keeps them clear, and the
   path audit checks it in a second engine.
 - **Simulation only.** Rigid bodies, Coulomb friction, convex parts instead of exact meshes. No label was confirmed on a robot.
 - **Labels near the tolerance are chaotic.** Contact dynamics amplify differences that mean nothing physically; the section on how sure
   the labels are says by how much.
-- **Known objects.** Column `split` holds out scenes, not objects: an object may occur in all of its parts, and results on it say nothing
-  about unseen objects. `split_object` and `split_category_<name>` are for that, over 30 objects of three categories and no more.
+{known_objects}
 - **Supervision only.** Whatever is known only after planning or physics must not be a model input: the columns of `candidates` from
   `y_plan` on, `plans`, and the lifted and in-hand states in `grasps`.
 - **One grasp and one placement.** Regrasping, stacking and moving obstacles are not in the data."""
@@ -80,10 +88,15 @@ leaks between splits and for files that do not belong here. `manifest.json` was 
 lists size and SHA-256 of every other file, and in `manifest_sha256` the SHA-256 of its own other fields."""
 
 
-def limits() -> list[str]:
+def limits(provenance: Mapping[str, str]) -> list[str]:
     """The limits as single paragraphs without Markdown, each beginning with its title, for texts of another form."""
-    items = re.split(r"^- ", LIMITS, flags=re.MULTILINE)[1:]
+    items = re.split(r"^- ", _limits(provenance), flags=re.MULTILINE)[1:]
     return [" ".join(item.replace("**", "").replace("`", "").split()) for item in items]
+
+
+def _limits(provenance: Mapping[str, str]) -> str:
+    own = is_own(provenance)
+    return _LIMITS.format(known_objects=KNOWN_OBJECTS_OF_OWN if own else _KNOWN_OBJECTS, friction=FRICTION_OF_OWN if own else _FRICTION)
 
 
 def render_card(
@@ -96,24 +109,27 @@ def render_card(
         facts: what the tables do not say: `tier`, `version`, `schema_version`, `licence`, `release_hash`, `scenes_of_tier`, provenance.
         rows: rows of each table.
         sizes: bytes of the files of each table.
-        citation: how the data are cited.
+        citation: how the data are cited; see `own.citation_of`.
     """
     frames = {name: frame_of(tables[name]) for name in ("candidates", "splits", "scenes", "targets", "grasps", "objects")}
     joined = frames["candidates"].join(frames["splits"], on="scene_id").with_columns(pl.col("y_pipe").fill_null(False).alias("success"))
     own = citation.bibtex(facts["tier"], facts["version"])
-    licence = (
-        f"The data are licensed under {facts['licence']}. Cite them as\n\n```bibtex\n{own}\n```\n\nand the paper whose protocol is theirs:"
+    licence = LICENCE_OF_OWN if is_own(facts) else facts["licence"]
+    terms = "The licence of the data is" if is_own(facts) else "The data are licensed under"
+    licence_and_citation = (
+        f"{terms} {licence}. Cite them as\n\n```bibtex\n{own}\n```\n\nand the paper whose protocol is theirs:"
         f"\n\n```bibtex\n{PAPER_CITATION}\n```\n\n"
         "`DATASHEET.md` answers the questions of a datasheet; `croissant.json` describes every column for machines."
     )
     blocks = [
         front_matter(rows, dict(joined["split"].value_counts().iter_rows()), facts),
-        f"# PlaceBench {facts['tier']} {facts['version']}",
+        f"# {title_of(facts, facts['tier'], facts['version'])}",
+        *notice_of(facts),
         _INTRODUCTION,
-        _facts(frames, facts),
+        _facts(frames, facts, licence),
         f"## Splits\n\n{_ABOUT_SPLITS}",
         _splits(frames, joined),
-        scheme_section(frames, joined),
+        scheme_section(frames, joined, facts),
         f"## Outcomes\n\n{_ABOUT_OUTCOMES}",
         _outcomes(joined),
         "## Scenes",
@@ -124,20 +140,20 @@ def render_card(
         "## How sure the labels are",
         confidence_section(frames["candidates"], frame_of(tables["attempts"]) if "attempts" in tables else None),
         "## Tables",
-        _overview(rows, sizes),
+        _overview(rows, sizes, facts),
         _ABOUT_TABLES,
         "## Size, and the light release",
         _light(rows, sizes),
         _ABOUT_SIZE,
-        *(_schema(ALL_SCHEMAS[name]) for name in sorted(rows)),
-        f"## Limits\n\n{LIMITS}",
-        f"## Licence and citation\n\n{licence}",
+        *(_schema(ALL_SCHEMAS[name], facts) for name in sorted(rows)),
+        f"## Limits\n\n{_limits(facts)}",
+        f"## Licence and citation\n\n{licence_and_citation}",
         f"## Checking it\n\n{_CHECKING}",
     ]
     return "\n\n".join(blocks) + "\n"
 
 
-def _facts(frames: Mapping[str, pl.DataFrame], facts: Mapping[str, str]) -> str:
+def _facts(frames: Mapping[str, pl.DataFrame], facts: Mapping[str, str], licence: str) -> str:
     n_scenes = frames["scenes"].height
     lines = [
         ("objects", f"{frames['scenes']['object_id'].n_unique()} of {frames['objects'].height} in the catalogue"),
@@ -150,7 +166,7 @@ def _facts(frames: Mapping[str, pl.DataFrame], facts: Mapping[str, str]) -> str:
             for name, value in sorted(facts.items())
             if name not in ("tier", "version", "scenes_of_tier", "licence")
         ),
-        ("licence", facts["licence"]),
+        ("licence", licence),
     ]
     return table(["fact", "value"], lines, align="ll")
 
@@ -211,11 +227,9 @@ def _scenes(scenes: pl.DataFrame) -> str:
     return table(["scenes", *(f"{n} obstacles" if n != 1 else "1 obstacle" for n in obstacle_counts)], rows)
 
 
-def _overview(rows: Mapping[str, int], sizes: Mapping[str, int]) -> str:
-    lines = [
-        [f"`{name}`", ALL_SCHEMAS[name].meaning, ", ".join(ALL_SCHEMAS[name].key), count(rows[name]), _kilobytes(sizes[name])]
-        for name in sorted(rows)
-    ]
+def _overview(rows: Mapping[str, int], sizes: Mapping[str, int], facts: Mapping[str, str]) -> str:
+    schemas = [ALL_SCHEMAS[name] for name in sorted(rows)]
+    lines = [[f"`{s.name}`", table_meaning(s, facts), ", ".join(s.key), count(rows[s.name]), _kilobytes(sizes[s.name])] for s in schemas]
     return table(["table", "one row is", "key", "rows", "kB"], lines, align="lllrr")
 
 
@@ -234,15 +248,17 @@ def _kilobytes(n_bytes: int) -> str:
     return f"{n_bytes / 1e3:,.1f}"
 
 
-def _schema(schema: TableSchema) -> str:
+def _schema(schema: TableSchema, facts: Mapping[str, str]) -> str:
     rows = [
         [
             f"`{column.name}`",
             str(column.dtype).replace("dictionary<values=string, indices=int16, ordered=0>", "string, dictionary"),
             column.unit,
             "yes" if column.nullable else "",
-            column.meaning.replace("<", "&lt;") + (f": {', '.join(f'`{value}`' for value in column.values)}" if column.values else ""),
+            column_meaning(column, facts).replace("<", "&lt;")
+            + (f": {', '.join(f'`{value}`' for value in column.values)}" if column.values else ""),
         ]
         for column in schema.columns
     ]
-    return f"### `{schema.name}`: {schema.meaning}\n\n" + table(["column", "type", "unit", "null", "meaning"], rows, align="lllll")
+    columns = table(["column", "type", "unit", "null", "meaning"], rows, align="lllll")
+    return f"### `{schema.name}`: {table_meaning(schema, facts)}\n\n{columns}"

@@ -9,11 +9,14 @@ from splits.citation import Citation
 from splits.data_card import PAPER_CITATION, limits
 from splits.manifest import CARD, CROISSANT, MANIFEST, Manifest
 from splits.markdown import count, percent, table
+from splits.own import LICENCE_OF_OWN, column_meaning, notice_of, table_meaning, title_of
+from splits.provenance import is_own
 from splits.statements import (
     CLEANING,
     MAINTENANCE,
     MISSING,
     MISUSES,
+    OWN_PURPOSE,
     PURPOSE,
     SENSITIVE,
     SOCIAL_IMPACT,
@@ -35,19 +38,20 @@ def render_datasheet(manifest: Manifest, summary: Summary, citation: Citation) -
     Args:
         manifest: of the release; its entries of texts are not looked at.
         summary: counts in its tables.
-        citation: how the data are cited.
+        citation: how the data are cited; see `own.citation_of`.
     """
     sections = {
-        "Motivation": _motivation(citation),
+        "Motivation": _motivation(manifest, citation),
         "Composition": _composition(manifest, summary),
         "Collection process": _collection(manifest, summary),
         "Preprocessing, cleaning, labelling": _labelling(summary),
-        "Uses": _uses(summary),
+        "Uses": _uses(manifest, summary),
         "Distribution": _distribution(manifest, citation),
         "Maintenance": _maintenance(manifest, citation),
     }
     blocks = [
-        f"# Datasheet of PlaceBench {manifest.tier} {manifest.version}",
+        f"# Datasheet of {title_of(manifest.provenance, manifest.tier, manifest.version)}",
+        *notice_of(manifest.provenance),
         "After Gebru et al., *Datasheets for Datasets*, Communications of the ACM 64(12), 2021. Rendered from the release"
         f" `{manifest.release_hash}`; the data card, `{CARD}`, explains the words and every column.",
     ]
@@ -57,16 +61,17 @@ def render_datasheet(manifest: Manifest, summary: Summary, citation: Citation) -
     return "\n\n".join(blocks) + "\n"
 
 
-def _motivation(citation: Citation) -> Answers:
+def _motivation(manifest: Manifest, citation: Citation) -> Answers:
     return [
-        ("For what purpose was the dataset created?", PURPOSE),
+        ("For what purpose was the dataset created?", OWN_PURPOSE if is_own(manifest.provenance) else PURPOSE),
         ("Who created the dataset and on behalf of which entity?", f"{' and '.join(citation.work.authors)}; no other entity is recorded."),
         ("Who funded the creation of the dataset?", "No funding is recorded. It takes ordinary processors and open software."),
     ]
 
 
 def _composition(manifest: Manifest, summary: Summary) -> Answers:
-    rows = [[f"`{name}`", ALL_SCHEMAS[name].meaning, count(entry.rows)] for name, entry in sorted(manifest.tables.items())]
+    about = manifest.provenance
+    rows = [[f"`{name}`", table_meaning(ALL_SCHEMAS[name], about), count(entry.rows)] for name, entry in sorted(manifest.tables.items())]
     instances = table(["table", "one row is", "rows"], rows, align="llr")
     heavy = [name for name in sorted(manifest.tables) if name in HEAVY_TABLES]
     return [
@@ -95,7 +100,7 @@ def _composition(manifest: Manifest, summary: Summary) -> Answers:
             "Are there recommended data splits?",
             "Scenes are held out whole. Table `splits` says where each belongs, and the files of `candidates` are divided by its column"
             " `split`. Its columns:\n\n"
-            + _items([f"`{column.name}`: {column.meaning}" for column in SPLITS.columns if column.name not in SPLITS.key]),
+            + _items([f"`{column.name}`: {column_meaning(column, about)}" for column in SPLITS.columns if column.name not in SPLITS.key]),
         ),
         ("Are there errors, sources of noise or redundancies?", label_checks(summary)),
         (
@@ -137,12 +142,17 @@ def _labelling(summary: Summary) -> Answers:
     ]
 
 
-def _uses(summary: Summary) -> Answers:
+def _uses(manifest: Manifest, summary: Summary) -> Answers:
     return [
-        ("Has the dataset been used for any tasks already?", "For the baselines and the ranker whose reports the repository renders."),
+        (
+            "Has the dataset been used for any tasks already?",
+            "For the baselines and the ranker of the reports that were rendered with it."
+            if is_own(manifest.provenance)
+            else "For the baselines and the ranker whose reports the repository renders.",
+        ),
         ("What tasks could it be used for?", _items(USES)),
-        ("What about its composition might affect future uses?", _items(biases(summary))),
-        ("What are its limits?", _items(limits())),
+        ("What about its composition might affect future uses?", _items(biases(summary, manifest.provenance))),
+        ("What are its limits?", _items(limits(manifest.provenance))),
         ("Are there tasks for which it should not be used?", _items(MISUSES)),
         ("What impact might uses have on people?", SOCIAL_IMPACT),
     ]
@@ -150,10 +160,15 @@ def _uses(summary: Summary) -> Answers:
 
 def _distribution(manifest: Manifest, citation: Citation) -> Answers:
     where = f"Under {citation.url}." if citation.url else "With the code of PlaceBench; no DOI was given to it when this was rendered."
+    when = f"Version {citation.version} on {citation.date}; this is version {manifest.version}."
+    licence = f"{manifest.licence}. No third party restricts it; meshes are the catalogue's own solids."
+    if is_own(manifest.provenance):
+        where = when = "That is for whoever made it to say."
+        licence = f"That is {LICENCE_OF_OWN}; `object_meshes` holds the geometry of the catalogue's mesh files."
     return [
         ("Will the dataset be distributed to third parties, and how?", where),
-        ("When?", f"Version {citation.version} on {citation.date}; this is version {manifest.version}."),
-        ("Under which licence?", f"{manifest.licence}. No third party restricts it; meshes are the catalogue's own solids."),
+        ("When?", when),
+        ("Under which licence?", licence),
         ("How is it cited?", f"```bibtex\n{citation.bibtex(manifest.tier, manifest.version)}\n\n{PAPER_CITATION}\n```"),
         ("Do export controls or other restrictions apply?", "None are known."),
     ]
@@ -163,10 +178,13 @@ def _maintenance(manifest: Manifest, citation: Citation) -> Answers:
     return [
         (
             "Who maintains the dataset, and how can they be contacted?",
-            f"{' and '.join(citation.work.authors)}, by issues of the repository.",
+            f"{' and '.join(citation.work.authors)}{'' if is_own(manifest.provenance) else ', by issues of the repository'}.",
         ),
         ("Will it be updated, and will older versions be kept?", MAINTENANCE),
-        ("Is there an erratum?", "CHANGELOG.md of the repository, section Data."),
+        (
+            "Is there an erratum?",
+            "None is known." if is_own(manifest.provenance) else "CHANGELOG.md of the repository, section Data.",
+        ),
         (
             "How does somebody check a copy?",
             f"`python -m splits.release verify DIR` compares every file with `{MANIFEST}`, every value with its schema, labels and splits"

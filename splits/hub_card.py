@@ -9,13 +9,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from splits.manifest import BY_SPLIT, LICENCE, files_of_table
+from splits.own import title_of
+from splits.provenance import is_own
 from tables.schemas import HEAVY_TABLES
 from tables.vocabulary import Split
 
 DEFAULT_CONFIG = "candidates"
 # The split of a table that is not divided: it holds rows of train, validation and test, so none of those may be its name.
 UNDIVIDED = "all_splits"
-TAGS = ("robotics", "manipulation", "grasping", "placement", "motion-planning", "physics-simulation", "learning-to-rank", "benchmark")
+BENCHMARK_TAG = "benchmark"
+TAGS = ("robotics", "manipulation", "grasping", "placement", "motion-planning", "physics-simulation", "learning-to-rank", BENCHMARK_TAG)
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"), (10_000_000, "1M<n<10M"))
 
 READING = """From inside this folder, in any of these. `candidates` is a folder of one file a split (`candidates/split=test/...`), so every
@@ -82,17 +85,17 @@ def front_matter(rows: Mapping[str, int], by_split: Mapping[str, int], facts: Ma
     Args:
         rows: rows of each table of the release by name.
         by_split: candidates of each split.
-        facts: at least `tier` and `version`.
+        facts: at least `tier` and `version`, and the provenance.
     """
     lines = [
         "---",
-        f"license: {LICENCE.lower()}",
-        f"pretty_name: PlaceBench {facts['tier']} {facts['version']}",
+        f"license: {'other' if is_own(facts) else LICENCE.lower()}",
+        f"pretty_name: {title_of(facts, facts['tier'], facts['version'])}",
         "task_categories:",
         "- robotics",
         "- tabular-classification",
         "tags:",
-        *(f"- {tag}" for tag in TAGS),
+        *(f"- {tag}" for tag in TAGS if not (is_own(facts) and tag == BENCHMARK_TAG)),
         "size_categories:",
         f"- {_size(rows[DEFAULT_CONFIG])}",
         "configs:",

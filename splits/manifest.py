@@ -17,7 +17,9 @@ from typing import Any, cast
 
 from splits.errors import ReleaseError, shown
 from splits.fields import check_count, check_equal, check_sha256, check_texts, check_version
-from tables.identity import IdentityError, shards_of_tier
+from splits.provenance import layout_of_release
+from tables.identity import IdentityError, family_of_tier
+from tables.layout import Layout
 from tables.schemas import ALL_SCHEMAS, SCHEMA_VERSION
 from tables.sidecar import is_table_of_today
 from tables.tolerances import Tolerances, TolerancesError
@@ -112,6 +114,11 @@ class Manifest:
             raise ReleaseError(f"files: missing {shown(missing)}, unknown {shown(unknown)}, must be {', '.join(TEXTS)} and the tables")
         check_equal("release_hash", self.release_hash, release_hash_of(self.tables))
 
+    @property
+    def layout(self) -> Layout:
+        """Scenes, shards and tiers of the dataset that the release is of; raises ReleaseError where it states an impossible one."""
+        return layout_of_release(self.provenance, self.tables["objects"].rows if "objects" in self.tables else 0)
+
     def to_text(self) -> str:
         """The content of `manifest.json`: sorted keys, two spaces of indentation, its own hash among the fields."""
         content = asdict(self)
@@ -186,7 +193,7 @@ def check_tier(tier: object) -> None:
     try:
         if not isinstance(tier, str):
             raise IdentityError(f"{shown(tier)} is not a text")
-        shards_of_tier(tier)
+        family_of_tier(tier)
     except IdentityError as error:
         raise ReleaseError(f"tier: {error}") from error
 

@@ -1,5 +1,8 @@
 """What made a release: the commit of the code, the versions of the libraries, and the facts that every release must state.
 
+A release that is not the benchmark's also states `catalogue` and `recipe`, the names of the two files, and `allocation`: from it, and from
+how many objects there are, follows which scenes and shards its dataset has.
+
 The hashes of recipe and catalogue are computed where they are parsed, in pipelines/recipe.py and objects/catalogue.py.
 """
 
@@ -12,9 +15,14 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from splits.errors import ReleaseError, shown
+from tables.identity import IdentityError
+from tables.layout import INTERLEAVED, Layout, layout_of
+from tables.vocabulary import Allocation
 
 PACKAGE_ROOT = Path(__file__).resolve().parent.parent
 UNKNOWN_COMMIT = "unknown"
+
+OWN_KEYS = ("catalogue", "recipe", "allocation")
 
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _COMMIT = re.compile(r"[0-9a-f]{40}")
@@ -60,6 +68,46 @@ def check_provenance(provenance: Mapping[str, str]) -> None:
             raise ReleaseError(f"provenance: {name} is missing, must be {expected}; given are {sorted(provenance)}")
         if not pattern.fullmatch(provenance[name]):
             raise ReleaseError(f"provenance: {name} {shown(provenance[name])}, must be {expected}")
+    _check_own(provenance)
+
+
+def own_provenance(catalogue: str, recipe: str, allocation: Allocation) -> dict[str, str]:
+    """What a release of one's own states beside the hashes: names of the two files, without folders, and the allocation."""
+    return dict(zip(OWN_KEYS, (catalogue, recipe, allocation.value), strict=True))
+
+
+def is_own(provenance: Mapping[str, str]) -> bool:
+    """Whether a release is not the benchmark's."""
+    return any(key in provenance for key in OWN_KEYS)
+
+
+def _check_own(provenance: Mapping[str, str]) -> None:
+    """Raise ReleaseError where a release states some of the three facts, or an allocation that there is not."""
+    if not is_own(provenance):
+        return
+    for key in OWN_KEYS:
+        if not provenance.get(key, "").strip():
+            raise ReleaseError(f"provenance: {key} is missing, must be there beside {', '.join(k for k in OWN_KEYS if k in provenance)}")
+    if provenance["allocation"] not in list(Allocation):
+        raise ReleaseError(f"provenance: allocation {provenance['allocation']!r}, must be one of {[a.value for a in Allocation]}")
+
+
+def layout_of_release(provenance: Mapping[str, str], n_objects: int) -> Layout:
+    """Scenes, shards and tiers of the dataset that a release is of.
+
+    Args:
+        n_objects: rows of table `objects`.
+
+    Raises:
+        ReleaseError: an allocation that there is not, or not for so many objects.
+    """
+    _check_own(provenance)
+    if not is_own(provenance):
+        return INTERLEAVED
+    try:
+        return layout_of(Allocation(provenance["allocation"]), n_objects)
+    except IdentityError as error:
+        raise ReleaseError(f"objects: {error}") from error
 
 
 def git_commit(folder: Path = PACKAGE_ROOT) -> str:

@@ -33,7 +33,7 @@ from splits.release_laws import allocations_in, stage_tables
 from splits.release_reader import Release
 from tables.errors import PlaceBenchError
 from tables.files import file_sha256, write_bytes_atomically
-from tables.identity import family_of_tier, scenes_of_shard, shard_of_scene
+from tables.identity import family_of_tier
 from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES, OBJECT_TABLES
 from tables.sidecar import Sidecar, find_published
 from tables.store import content_hash, read_tables, write_parquet, write_table
@@ -94,10 +94,11 @@ def _make_shards(release: Release, stage: Stage, recipe: Recipe, root: DataRoot,
     allocations = {allocation.scene_id: allocation for allocation in allocations_in(release.table("scenes"))}
     object_models = object_models_from_tables(*(release.table(name) for name in OBJECT_TABLES))
     object_hashes = {name: release.manifest.tables[name].content_hash for name in OBJECT_TABLES}
-    shards = sorted({shard_of_scene(scene_id) for scene_id in allocations})
+    layout = release.manifest.layout
+    shards = sorted({layout.shard_of_scene(scene_id) for scene_id in allocations})
     start, n_made = time.perf_counter(), 0
     for k, shard in enumerate(shards, 1):
-        own = [scene_id for scene_id in scenes_of_shard(shard) if scene_id in allocations]
+        own = [scene_id for scene_id in layout.scenes_of_shard(shard) if scene_id in allocations]
         for name, table in upstream.items():
             _write_upstream(root, shard, name, _of_scenes(table, own), release.manifest)
         inputs = ShardInputs(recipe, object_models, [allocations[scene_id] for scene_id in own], object_hashes)

@@ -1,6 +1,6 @@
 """Makes scenes of a release again, each in a fresh process and from its id alone, and compares every row with what the release holds.
 
-python -m splits.regenerate DIR [--scenes N] [--workers N] [--out FILE]
+python -m splits.regenerate DIR [--scenes N] [--workers N] [--recipe FILE] [--catalogue FILE] [--out FILE]
 
 Scenes are chosen by a hash of their ids. Compared is every table that has rows of a scene or of its object; `splits` and what was made
 from the whole release later are no scene's own. Read from the release is nothing but what is compared.
@@ -22,17 +22,18 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from objects.catalogue import catalogue_hash, load_catalogue
+from objects.catalogue import PACKAGED_CATALOGUE, catalogue_hash, load_catalogue
 from pipelines.codecs import Row
 from pipelines.proofs.regenerate import rows_of_scene
 from pipelines.recipe import DEFAULT_RECIPE, load_recipe
+from pipelines.running.dataset_record import is_packaged
 from pipelines.running.join import join_candidates, join_grasps
 from pipelines.running.workers import run_units
 from pipelines.stages import STAGES
 from splits.errors import ReleaseError
 from splits.provenance import git_commit
 from splits.rebuild import check_origin, other_engines
-from splits.release_reader import Release
+from splits.release_reader import Release, report_folder
 from tables.columns import TableSchema
 from tables.errors import PlaceBenchError
 from tables.files import write_text_atomically
@@ -74,24 +75,28 @@ class Regenerated:
         return f"{self.scene_id}: {self.n_candidates:,} candidates, {sum(self.rows.values()):,} rows, {verdict}"
 
 
-def regenerate_scenes(release: Release, n_scenes: int, n_workers: int, recipe_path: Path = DEFAULT_RECIPE) -> Iterator[Regenerated]:
+def regenerate_scenes(
+    release: Release, n_scenes: int, n_workers: int, recipe_path: Path = DEFAULT_RECIPE, catalogue: Path = PACKAGED_CATALOGUE
+) -> Iterator[Regenerated]:
     """Scenes as they finish: those whose ids hash lowest, or all where the release has no more.
 
     Args:
         n_workers: worker processes, at least 1; each is replaced after one scene.
         recipe_path: the recipe that the release was made with.
+        catalogue: the catalogue that it was made from.
 
     Raises:
         ReleaseError: a release of another recipe or catalogue, or of other code; a number below 1.
+        CatalogueError: the catalogue is not what it should be.
     """
     if n_scenes < 1:
         raise ReleaseError(f"scenes to make again: {n_scenes}, must be at least 1")
     recipe = load_recipe(family_of_tier(release.manifest.tier), recipe_path)
     check_origin(release.manifest, STAGES, recipe)
-    _check_catalogue(release)
+    _check_catalogue(release, catalogue)
     scene_ids = sorted(release.table("scenes")["scene_id"].to_pylist(), key=lambda name: order_key(recipe.seed, "regenerate", name))
     chosen = sorted(scene_ids[:n_scenes])
-    units = [(scene_id, recipe_path) for scene_id in chosen]
+    units = [(scene_id, recipe_path, catalogue) for scene_id in chosen]
     with closing(run_units(rows_of_scene, units, max(1, n_workers), units_per_life=1)) as outcomes:
         for outcome in outcomes:
             scene_id = chosen[outcome.index]
@@ -153,10 +158,15 @@ def _differences(schema: TableSchema, fresh: pa.Table, stored: pa.Table) -> tupl
     return len(keys), f"{name} has {column} {made[column]!r}, the release holds {there[column]!r}"
 
 
-def _check_catalogue(release: Release) -> None:
-    stated, own = release.manifest.provenance["catalogue_hash"], catalogue_hash(load_catalogue())
-    if stated != own:
+def _check_catalogue(release: Release, catalogue: Path) -> None:
+    provenance, own = release.manifest.provenance, catalogue_hash(load_catalogue(catalogue))
+    stated, named = provenance["catalogue_hash"], provenance.get("catalogue")
+    if stated == own:
+        return
+    if named is None and is_packaged(catalogue):
         raise ReleaseError(f"catalogue_hash of the release is {stated[:12]}, of this code {own[:12]}; use the code that made it")
+    found = f"{stated[:12]} ({named or 'the benchmark'})"
+    raise ReleaseError(f"catalogue_hash of the release is {found}, of {catalogue} {own[:12]}; name the one that made it (--catalogue)")
 
 
 def summary_of(release: Release, scenes: Sequence[Regenerated]) -> dict[str, Any]:
@@ -187,24 +197,25 @@ def regenerated(
     n_scenes: int = N_SCENES,
     n_workers: int = 2,
     recipe_path: Path = DEFAULT_RECIPE,
+    catalogue: Path = PACKAGED_CATALOGUE,
     log: Callable[[str], Any] = print,
 ) -> bool:
     """Make scenes of a release again, tell of each, and write the summary; whether nothing differs.
 
     Args:
         directory: of the release, whole or light; every file must be what its manifest says.
-        out: of the summary; `reports/out/TIER/regenerated.json` where None.
+        out: of the summary; `regenerated.json` among the reports of the tier where None.
 
     Raises:
         ReleaseError: a damaged release, or as `regenerate_scenes`.
     """
     release = Release.open(directory, verify=True)
     scenes = []
-    for scene in regenerate_scenes(release, n_scenes, n_workers, recipe_path):
+    for scene in regenerate_scenes(release, n_scenes, n_workers, recipe_path, catalogue):
         scenes.append(scene)
         log(f"{scene} ({len(scenes)} of {min(n_scenes, release.manifest.tables['scenes'].rows)})")
     summary = summary_of(release, scenes)
-    out = out or Path("reports/out") / release.manifest.tier / "regenerated.json"
+    out = out or report_folder(release) / "regenerated.json"
     write_text_atomically(out, json.dumps(summary, indent=2) + "\n")
     is_identical = all(scene.is_identical for scene in scenes)
     engines = "" if is_identical else other_engines(release.manifest, {name for stage in STAGES for name in stage.engines})
@@ -224,10 +235,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--scenes", type=int, default=N_SCENES, help=f"how many, chosen by hash ({N_SCENES})")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes at a time; the result does not depend on it")
     parser.add_argument("--recipe", type=Path, default=DEFAULT_RECIPE)
-    parser.add_argument("--out", type=Path, help="file of the summary (reports/out/TIER/regenerated.json)")
+    parser.add_argument("--catalogue", type=Path, default=PACKAGED_CATALOGUE, help="that the release was made from (the benchmark's)")
+    parser.add_argument("--out", type=Path, help="file of the summary (regenerated.json among the reports of the tier)")
     chosen = parser.parse_args(arguments)
     try:
-        return 0 if regenerated(chosen.directory, chosen.out, chosen.scenes, chosen.workers, chosen.recipe) else 1
+        return 0 if regenerated(chosen.directory, chosen.out, chosen.scenes, chosen.workers, chosen.recipe, chosen.catalogue) else 1
     except PlaceBenchError as error:
         print(f"not regenerated: {error}", file=sys.stderr)
         return 1

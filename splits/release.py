@@ -34,7 +34,7 @@ from splits.manifest import (
     release_hash_of,
 )
 from splits.pose_errors import find_pose_errors
-from splits.provenance import LIBRARIES, check_provenance
+from splits.provenance import LIBRARIES, check_provenance, layout_of_release
 from splits.release_folder import (
     check_files,
     check_nothing_else,
@@ -46,7 +46,6 @@ from splits.release_folder import (
 )
 from splits.release_laws import broken_laws
 from splits.release_texts import check_texts, render_texts
-from tables.identity import scenes_of_shard, shards_of_tier
 from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES, SCHEMA_VERSION
 from tables.store import check_table, content_hash, file_sha256, write_bytes_atomically, write_parquet, write_text_atomically
 from tables.tolerances import Tolerances
@@ -205,7 +204,7 @@ def _check_contents(tables: Mapping[str, pa.Table], tier: str, provenance: Mappi
         raise ReleaseError(f"tables: missing {missing}, unknown {unknown}, must both be empty")
     check_provenance(provenance)
     check_tier(tier)
-    of_tier = {scene_id for shard in shards_of_tier(tier) for scene_id in scenes_of_shard(shard)}
+    of_tier = set(layout_of_release(provenance, tables["objects"].num_rows).scenes_of_tier(tier))
     strangers = sorted(set(tables["scenes"]["scene_id"].to_pylist()) - of_tier)
     if strangers:
         raise ReleaseError(f"scenes: {strangers[0]} is not in tier {tier} ({len(strangers)} scenes are not, must be 0)")

@@ -22,6 +22,7 @@ from pipelines.frames import frame_of
 from pipelines.values import Candidate, Scene
 from splits.errors import ReleaseError
 from splits.manifest import Manifest, read_manifest
+from splits.provenance import is_own
 from splits.release_folder import check_files, left_out, left_out_error, read_released_table
 
 
@@ -100,6 +101,14 @@ class Release:
     def scene(self, scene_id: str) -> Scene:
         """A scene; raises IdentityError where the release has none of that id."""
         return self.values.scene(scene_id)
+
+
+def report_folder(release: Release) -> Path:
+    """Where reports of a release go: `reports/out/TIER`, or of a dataset of one's own `reports/TIER` in its data folder."""
+    tier = release.manifest.tier
+    if not is_own(release.manifest.provenance):
+        return Path("reports/out") / tier
+    return release.directory.resolve().parent.parent / "reports" / tier
 
 
 class _TablesOf(Mapping[str, pa.Table]):

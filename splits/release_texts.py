@@ -18,8 +18,8 @@ from splits.data_card import render_card
 from splits.datasheet import render_datasheet
 from splits.errors import ReleaseError, shown
 from splits.manifest import CARD, CROISSANT, DATASHEET, Manifest, files_of_table
+from splits.own import citation_of
 from splits.summary import summary_of
-from tables.identity import scenes_of_shard, shards_of_tier
 
 
 def render_texts(tables: Mapping[str, pa.Table], manifest: Manifest) -> dict[str, str]:
@@ -29,7 +29,7 @@ def render_texts(tables: Mapping[str, pa.Table], manifest: Manifest) -> dict[str
         tables: tables of the release; heavy ones may be missing, a light release has the texts of the whole one.
         manifest: of the release; its entries of the texts themselves are not looked at.
     """
-    citation, summary = load_citation(), summary_of(tables)
+    citation, summary = citation_of(load_citation(), manifest.provenance), summary_of(tables)
     rows = {name: entry.rows for name, entry in manifest.tables.items()}
     sizes = {name: sum(manifest.files[file].bytes for file in files_of_table(name)) for name in manifest.tables}
     return {
@@ -60,5 +60,5 @@ def _facts(manifest: Manifest) -> dict[str, str]:
         "schema_version": manifest.schema_version,
         "release_hash": manifest.release_hash,
         **{f"tolerances.{name}": f"{value:.4g}" for name, value in asdict(manifest.tolerances).items()},
-        "scenes_of_tier": str(sum(len(scenes_of_shard(shard)) for shard in shards_of_tier(manifest.tier))),
+        "scenes_of_tier": str(len(manifest.layout.scenes_of_tier(manifest.tier))),
     }

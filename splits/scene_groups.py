@@ -10,7 +10,8 @@ from itertools import combinations, product
 from typing import Any
 
 from tables.errors import PlaceBenchError
-from tables.identity import IdentityError, order_key, parse_scene_id, shard_of_scene, shards_of_tier
+from tables.identity import IdentityError, order_key, parse_scene_id
+from tables.layout import Layout
 from tables.vocabulary import Split
 
 UniverseScene = tuple[str, str, int]  # scene id, category, number of obstacles
@@ -18,7 +19,6 @@ UniverseScene = tuple[str, str, int]  # scene id, category, number of obstacles
 _Cell = tuple[int, Split]  # number of obstacles, split
 
 _SPLITS = (Split.TRAIN, Split.VALIDATION, Split.TEST)
-_PILOT_SHARDS = frozenset(shards_of_tier("pilot"))
 
 
 class SplitError(PlaceBenchError, ValueError):
@@ -56,7 +56,9 @@ class SplitParams:
         }
 
 
-def split_rows(scene_ids: Sequence[str], universe: Sequence[UniverseScene], params: SplitParams, seed: int) -> list[dict[str, Any]]:
+def split_rows(
+    scene_ids: Sequence[str], universe: Sequence[UniverseScene], layout: Layout, params: SplitParams, seed: int
+) -> list[dict[str, Any]]:
     """Rows of `splits` for some scenes of a family.
 
     The whole family is split, built or not, so that a scene of `pilot` keeps its split in `full`. Within each block (the scenes of
@@ -67,6 +69,7 @@ def split_rows(scene_ids: Sequence[str], universe: Sequence[UniverseScene], para
     Args:
         scene_ids: the scenes wanted.
         universe: (scene id, category, number of obstacles) of every scene of their family, in any order.
+        layout: says which scenes are of the pilot.
         params: shares.
         seed: the recipe seed.
 
@@ -74,7 +77,7 @@ def split_rows(scene_ids: Sequence[str], universe: Sequence[UniverseScene], para
         SplitError: a wanted scene that the universe lacks, a scene listed twice, a malformed id, or two families at once.
     """
     universe = _checked(universe)
-    split_of = _split_universe(universe, params, seed)
+    split_of = _split_universe(universe, layout, params, seed)
     missing = sorted(set(scene_ids) - split_of.keys())
     if missing:
         raise SplitError(f"{missing[0]}: not in the universe of {len(universe)} scenes ({len(missing)} scenes are not)")
@@ -94,11 +97,14 @@ def _checked(universe: Sequence[UniverseScene]) -> list[UniverseScene]:
     return sorted(universe)
 
 
-def _split_universe(universe: Sequence[UniverseScene], params: SplitParams, seed: int) -> dict[str, Split]:
+def _split_universe(universe: Sequence[UniverseScene], layout: Layout, params: SplitParams, seed: int) -> dict[str, Split]:
     split_of: dict[str, Split] = {}
     by_hash = sorted(universe, key=lambda scene: order_key(seed, "splits", scene[0]))
-    pilot = [scene for scene in by_hash if shard_of_scene(scene[0]) in _PILOT_SHARDS]
-    rest = [scene for scene in by_hash if shard_of_scene(scene[0]) not in _PILOT_SHARDS]
+    try:
+        pilot = [scene for scene in by_hash if layout.is_of_pilot(scene[0])]
+    except IdentityError as error:
+        raise SplitError(f"universe: {error}") from error
+    rest = [scene for scene in by_hash if not layout.is_of_pilot(scene[0])]
     before = dict.fromkeys(_SPLITS, 0)
     for n_scenes, part in ((len(pilot), pilot), (len(universe), rest)):
         totals = _rounded(n_scenes, params.shares)

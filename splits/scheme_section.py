@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import polars as pl
 
 from splits.markdown import MISSING, count, percent, share, table
-from splits.schemes import size_classes
-from tables.vocabulary import Split, SplitScheme
+from splits.schemes import APPENDED_CLASS, not_applying, size_classes
+from tables.vocabulary import Allocation, Split, SplitScheme
 
 _SCHEMES = [scheme for scheme in SplitScheme if scheme is not SplitScheme.SCENE]
 
@@ -26,21 +26,35 @@ ranker that was trained under a column may be judged on the test scenes of that 
 Rates differ between the parts because what is held out is easier or harder to place; compare policies within a part."""
 
 
-def scheme_section(frames: Mapping[str, pl.DataFrame], joined: pl.DataFrame) -> str:
+_ABOUT_APPENDED = f"""
+Here, in a catalogue that grows, a size class is {APPENDED_CLASS} objects in file order instead, and `split` deals the scenes of every
+object by themselves: another object, appended to the catalogue, changes no part of these."""
+
+
+def scheme_section(frames: Mapping[str, pl.DataFrame], joined: pl.DataFrame, provenance: Mapping[str, str]) -> str:
     """Markdown of the section.
 
     Args:
         frames: `splits`, `scenes` and `objects`.
         joined: candidates with every column of `splits` and their `success`.
+        provenance: of the release.
     """
+    is_appended = provenance.get("allocation") == Allocation.APPENDED
+    without = not_applying(dict(frames["objects"].select("object_id", "category").iter_rows()))
+    schemes = [scheme for scheme in _SCHEMES if scheme not in without]
     scenes = frames["splits"].join(frames["scenes"].select("scene_id", "object_id", "category", "n_obstacles"), on="scene_id")
-    about = _ABOUT.format(n=len(_SCHEMES), example=SplitScheme.OBJECT.column)
-    return "\n\n".join(["## More splits", about, _sizes(scenes, joined), _emptiness(scenes), _objects(scenes, frames["objects"])])
+    about = _ABOUT.format(n=len(_SCHEMES), example=SplitScheme.OBJECT.column) + (_ABOUT_APPENDED if is_appended else "")
+    blocks = ["## More splits", about, _sizes(scenes, joined, schemes), _emptiness(scenes, schemes)]
+    if without:
+        reasons = "; ".join(f"`{scheme.column}`: {reason}" for scheme, reason in without.items())
+        blocks.append(f"Of no use here: {reasons}.")
+    blocks += [] if is_appended else [_objects(scenes, frames["objects"])]
+    return "\n\n".join(blocks)
 
 
-def _sizes(scenes: pl.DataFrame, joined: pl.DataFrame) -> str:
+def _sizes(scenes: pl.DataFrame, joined: pl.DataFrame, schemes: Sequence[SplitScheme]) -> str:
     rows = []
-    for scheme in _SCHEMES:
+    for scheme in schemes:
         for split in Split:
             own, candidates = (frame.filter(pl.col(scheme.column) == split.value) for frame in (scenes, joined))
             rates = [candidates[name].mean() if candidates.height else None for name in ("y_plan", "success")]
@@ -51,8 +65,8 @@ def _sizes(scenes: pl.DataFrame, joined: pl.DataFrame) -> str:
     return table(header, rows, align="llrrrrrll")
 
 
-def _emptiness(scenes: pl.DataFrame) -> str:
-    empty = [f"`{s.column}` {split.value}" for s in _SCHEMES for split in Split if not (scenes[s.column] == split.value).any()]
+def _emptiness(scenes: pl.DataFrame, schemes: Sequence[SplitScheme]) -> str:
+    empty = [f"`{s.column}` {split.value}" for s in schemes for split in Split if not (scenes[s.column] == split.value).any()]
     if not empty:
         return "No part is empty in this tier."
     return f"**Empty in this tier: {', '.join(empty)}.** A scene keeps its split in every tier: use a larger one for these columns."

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from splits.markdown import count, percent, share
+from splits.provenance import is_own
 from splits.summary import Part, Summary
 
 PURPOSE = (
     "Which grasp should a robot choose so that it can also put the object down? The data train and judge rankers that order (grasp, target)"
     " candidates before anything is planned. They reproduce the protocol of a paper whose dataset and code were not published."
+)
+
+OWN_PURPOSE = (
+    "Which grasp should a robot choose so that it can also put the object down? The data train and judge rankers that order (grasp, target)"
+    " candidates before anything is planned, on objects of somebody's own."
 )
 
 SENSITIVE = "None. The data describe rigid objects, a robot arm and boxes on a table; no person, place or organisation occurs in them."
@@ -88,13 +94,14 @@ def label_checks(summary: Summary) -> str:
     )
 
 
-def biases(summary: Summary) -> tuple[str, ...]:
+def biases(summary: Summary, provenance: Mapping[str, str]) -> tuple[str, ...]:
     """Known biases, with counts."""
     of_category = ", ".join(f"{name} {percent(_rate(part))} of {count(part.n_candidates)}" for name, part in summary.by_category.items())
     lifted = share(summary.n_lifted, summary.n_pool_grasps)
+    chosen = "chosen by whoever wrote the catalogue" if is_own(provenance) else "after household products of western supermarkets"
     return (
         f"Kinds of objects: {_listed(summary.by_category)} only, {count(summary.n_used_objects)} of {count(summary.n_objects)} catalogue"
-        " objects occur, dimensions and masses after household products of western supermarkets.",
+        f" objects occur, dimensions and masses {chosen}.",
         f"Success differs by kind: {of_category} candidates. A score over all of them weighs kinds by their candidates.",
         f"Selection by the lift: candidates exist only for grasps that lifted the object, {lifted} of pool grasps. What"
         " a policy would do with grasps that fail to lift is not in the data.",

@@ -17,22 +17,16 @@ from tables.errors import PlaceBenchError
 # Families of scenes, and how much of the benchmark there is: `pilot` is the beginning of the family `full`.
 FAMILIES = ("mini", "full")
 TIERS = ("mini", "pilot", "full")
-SCENES_PER_SHARD = 19
-# 1,235 scenes, as many as the paper's, for at least 250,000 candidates at 203 or more a scene (217 on `pilot`). More shards leave every id
-# and seed, and the splits of `pilot`, as they are; splits of the other scenes of `full` depend on how many there are, so the number is
-# final once `full` is published.
-# Not any number will do: at some (66, 69, 74) the split shares of a category miss by more than the one scene that test_scene_groups allows.
-N_FULL_SHARDS = 65
-N_PILOT_SHARDS = 4
-N_MINI_SCENES = 12
+N_SCENE_NUMBERS = 10_000  # of a family; a scene id has four digits, and layout.py says which there are
 N_TARGETS = 8  # of every scene; a target id is one digit
 
 _SCENE = re.compile(r"(mini|full)-(\d{4})")
 _CANDIDATE = re.compile(r"((?:mini|full)-\d{4})-t(\d)-g(\d\d)")
+_SHARD = re.compile(r"(mini|full)-\d{3}")
 
 
 class IdentityError(PlaceBenchError, ValueError):
-    """An id that no scene, candidate or shard can have."""
+    """An id that no scene, candidate or shard can have, or that a dataset does not have."""
 
 
 def rng_for(seed: int, stage: str, *ids: str | int) -> np.random.Generator:
@@ -58,20 +52,19 @@ def order_key(seed: int, stage: str, *ids: str | int) -> int:
 
 def scene_id_of(family: str, index: int) -> str:
     """`full-0042`; family is `mini` or `full`, the index counts from 0 within the family."""
-    bound = n_scenes_of(family)
-    if not 0 <= index < bound:
-        raise IdentityError(f"{family}: scene index {index}, must be in [0, {bound})")
+    if family not in FAMILIES:
+        raise IdentityError(f"family {family!r}, must be mini or full")
+    if not 0 <= index < N_SCENE_NUMBERS:
+        raise IdentityError(f"{family}: scene index {index}, must be in [0, {N_SCENE_NUMBERS})")
     return f"{family}-{index:04d}"
 
 
 def parse_scene_id(scene_id: str) -> tuple[str, int]:
-    """(family, index) of a scene id; raises IdentityError on anything else."""
+    """(family, index) of a scene id; raises IdentityError on anything else. Whether a dataset has the scene its layout says."""
     match = _SCENE.fullmatch(scene_id)
     if match is None:
         raise IdentityError(f"{scene_id!r} is not a scene id; expected mini-NNNN or full-NNNN")
-    family, index = match.group(1), int(match.group(2))
-    scene_id_of(family, index)
-    return family, index
+    return match.group(1), int(match.group(2))
 
 
 def candidate_id_of(scene_id: str, target_id: int, grasp_id: int) -> str:
@@ -93,53 +86,22 @@ def parse_candidate_id(candidate_id: str) -> CandidateId:
     match = _CANDIDATE.fullmatch(candidate_id)
     if match is None:
         raise IdentityError(f"{candidate_id!r} is not a candidate id; expected for example full-0042-t3-g17")
-    parse_scene_id(match.group(1))
     return CandidateId(match.group(1), int(match.group(2)), int(match.group(3)))
-
-
-def n_scenes_of(family: str) -> int:
-    """Number of scenes in a family: 12 in `mini`, 19 a shard in `full`."""
-    if family == "mini":
-        return N_MINI_SCENES
-    if family == "full":
-        return SCENES_PER_SHARD * N_FULL_SHARDS
-    raise IdentityError(f"family {family!r}, must be mini or full")
-
-
-def scenes_of_shard(shard: str) -> tuple[str, ...]:
-    """Scene ids of a shard key: `mini-000`, or `full-000` and on with 19 scenes each."""
-    family, _, number = shard.partition("-")
-    if family == "mini" and number == "000":
-        return tuple(scene_id_of("mini", k) for k in range(N_MINI_SCENES))
-    if family == "full" and re.fullmatch(r"\d{3}", number) and int(number) < N_FULL_SHARDS:
-        first = int(number) * SCENES_PER_SHARD
-        return tuple(scene_id_of("full", first + k) for k in range(SCENES_PER_SHARD))
-    raise IdentityError(f"{shard!r} is not a shard; expected mini-000 or full-000 to full-{N_FULL_SHARDS - 1:03d}")
-
-
-def shard_of_scene(scene_id: str) -> str:
-    """The shard that a scene belongs to."""
-    family, index = parse_scene_id(scene_id)
-    return "mini-000" if family == "mini" else f"full-{index // SCENES_PER_SHARD:03d}"
 
 
 def family_of_tier(tier: str) -> str:
     """The family whose scenes a tier holds."""
-    return parse_scene_id(scenes_of_shard(shards_of_tier(tier)[0])[0])[0]
+    if tier not in TIERS:
+        raise IdentityError(f"{tier!r} is not a tier; expected mini, pilot or full")
+    return "mini" if tier == "mini" else "full"
 
 
 def family_of_shard(shard: str) -> str:
     """The family whose scenes a shard holds."""
-    return parse_scene_id(scenes_of_shard(shard)[0])[0]
-
-
-def shards_of_tier(tier: str) -> tuple[str, ...]:
-    """Shard keys of a tier: `mini` has one, `full` has `N_FULL_SHARDS`, of which the first are `pilot`."""
-    if tier == "mini":
-        return ("mini-000",)
-    if tier in ("pilot", "full"):
-        return tuple(f"full-{k:03d}" for k in range(N_PILOT_SHARDS if tier == "pilot" else N_FULL_SHARDS))
-    raise IdentityError(f"{tier!r} is not a tier; expected mini, pilot or full")
+    match = _SHARD.fullmatch(shard)
+    if match is None:
+        raise IdentityError(f"{shard!r} is not a shard; expected for example mini-000 or full-017")
+    return match.group(1)
 
 
 def _digest(seed: int, stage: str, ids: tuple[str | int, ...]) -> bytes:

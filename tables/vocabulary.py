@@ -14,6 +14,13 @@ class Category(StrEnum):
     MESH = "mesh"
 
 
+class Allocation(StrEnum):
+    """How the objects of a catalogue take the scenes of a dataset; see pipelines/scenes/allocation.py."""
+
+    INTERLEAVED = "interleaved"  # the benchmark's: a fixed number of scenes, which objects take in turns, category by category
+    APPENDED = "appended"  # every object has a block of scenes of its own, behind those of the objects before it
+
+
 class Symmetry(StrEnum):
     """Rotations that leave the object unchanged, as validation and stable poses see it."""
 

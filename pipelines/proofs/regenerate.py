@@ -16,16 +16,18 @@ from operator import itemgetter
 from pathlib import Path
 
 from objects.build import build_object, build_object_models, object_models_of
-from objects.catalogue import catalogue_order, load_catalogue
+from objects.catalogue import PACKAGED_CATALOGUE, catalogue_order, load_catalogue
+from objects.errors import ObjectError
 from objects.object_model import ObjectModel
 from pipelines.codecs import Row, known_in, rows_by_scene
 from pipelines.proofs.shown import ShownError, add_film_flags, show
 from pipelines.recipe import DEFAULT_RECIPE, Recipe, RecipeError, load_recipe
 from pipelines.running.data_root import DataRoot
+from pipelines.running.dataset_record import DatasetError, check_dataset
 from pipelines.scenes.allocation import scene_allocation
 from pipelines.stages import STAGES
 from pipelines.values import SceneAllocation
-from tables.identity import CandidateId, IdentityError, parse_candidate_id, parse_scene_id, shard_of_scene
+from tables.identity import CandidateId, IdentityError, parse_candidate_id, parse_scene_id
 from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES
 from tables.store import StoreError, content_hash, table_from_rows
 
@@ -45,7 +47,11 @@ class Comparison:
 
 
 def regenerate(
-    name: str, root: DataRoot, recipe_path: Path = DEFAULT_RECIPE, object_models: dict[str, ObjectModel] | None = None
+    name: str,
+    root: DataRoot,
+    recipe_path: Path = DEFAULT_RECIPE,
+    object_models: dict[str, ObjectModel] | None = None,
+    catalogue: Path = PACKAGED_CATALOGUE,
 ) -> list[Comparison]:
     """Make all rows of a scene, or those of one candidate, from identity alone: catalogue and recipe in, nothing stored read.
 
@@ -53,11 +59,15 @@ def regenerate(
         name: a scene id or a candidate id.
         root: where to look for stored rows to compare with.
         object_models: objects built from the catalogue before; built here if None.
+        catalogue: file of the objects.
 
     Raises:
-        IdentityError: neither a scene nor a candidate, or a candidate that does not exist because its grasp did not lift.
+        CatalogueError: the catalogue is not what it should be.
+        DatasetError: `root` holds a dataset of another catalogue.
+        IdentityError: neither a scene nor a candidate of such a dataset, or a candidate whose grasp did not lift.
     """
-    return compared(make_again(name, recipe_path, object_models), root)
+    check_dataset(root, catalogue)
+    return compared(make_again(name, recipe_path, object_models, catalogue), root)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,40 +77,46 @@ class MadeAgain:
     recipe: Recipe
     object_model: ObjectModel
     scene_id: str
+    shard: str
     candidate: CandidateId | None
     rows: dict[str, list[Row]]
 
 
-def make_again(name: str, recipe_path: Path = DEFAULT_RECIPE, object_models: dict[str, ObjectModel] | None = None) -> MadeAgain:
+def make_again(
+    name: str,
+    recipe_path: Path = DEFAULT_RECIPE,
+    object_models: dict[str, ObjectModel] | None = None,
+    catalogue: Path = PACKAGED_CATALOGUE,
+) -> MadeAgain:
     """The rows alone, compared with nothing; arguments and errors are those of `regenerate`."""
     candidate = parse_candidate_id(name) if "-t" in name else None
     scene_id = candidate.scene_id if candidate else name
-    recipe = load_recipe(parse_scene_id(scene_id)[0], recipe_path)
-    allocation = scene_allocation(scene_id, catalogue_order())
+    recipe, order = load_recipe(parse_scene_id(scene_id)[0], recipe_path), catalogue_order(catalogue)
+    allocation = scene_allocation(scene_id, order)
     if object_models is None:
         object_models = build_object_models(
-            [spec for spec in load_catalogue() if spec.object_id == allocation.object_id], recipe.objects, recipe.seed
+            [spec for spec in load_catalogue(catalogue) if spec.object_id == allocation.object_id], recipe.objects, recipe.seed
         )
     rows = _make_rows(recipe, object_models[allocation.object_id], allocation, candidate)
     if candidate and not any(row["candidate_id"] == name for row in rows["planning_labels"]):
         raise IdentityError(f"{name}: grasp {candidate.grasp_id} is not among the lifted grasps of {scene_id}")
-    return MadeAgain(recipe, object_models[allocation.object_id], scene_id, candidate, rows)
+    return MadeAgain(recipe, object_models[allocation.object_id], scene_id, order.layout.shard_of_scene(scene_id), candidate, rows)
 
 
 def compared(made: MadeAgain, root: DataRoot) -> list[Comparison]:
     """Every table that was made again beside what a data folder has of it."""
-    return [_comparison(table, some, root, made.scene_id, made.candidate) for table, some in made.rows.items()]
+    return [_comparison(table, root, made) for table in made.rows]
 
 
-def rows_of_scene(scene_id: str, recipe_path: Path = DEFAULT_RECIPE) -> dict[str, list[Row]]:
+def rows_of_scene(scene_id: str, recipe_path: Path, catalogue: Path) -> dict[str, list[Row]]:
     """All rows of a scene by table, and those of its object in the object tables, from catalogue and recipe alone.
 
     Raises:
         IdentityError: no such scene.
     """
     recipe = load_recipe(parse_scene_id(scene_id)[0], recipe_path)
-    allocation = scene_allocation(scene_id, catalogue_order())
-    (spec,) = (spec for spec in load_catalogue() if spec.object_id == allocation.object_id)
+    allocation = scene_allocation(scene_id, catalogue_order(catalogue))
+    (spec,) = (spec for spec in load_catalogue(catalogue) if spec.object_id == allocation.object_id)
     built = build_object(spec, recipe.objects, recipe.seed)
     rows = _make_rows(recipe, object_models_of([built])[spec.object_id], allocation, None)
     return {name: getattr(built, name) for name in OBJECT_TABLES} | rows
@@ -126,14 +142,14 @@ def _make_rows(
     return rows
 
 
-def _comparison(table: str, fresh: list[Row], root: DataRoot, scene_id: str, candidate: CandidateId | None) -> Comparison:
+def _comparison(table: str, root: DataRoot, made: MadeAgain) -> Comparison:
     schema = ALL_SCHEMAS[table]
     try:
-        stored = rows_by_scene(root.read_shard(shard_of_scene(scene_id), [schema]), [scene_id])[scene_id][table]
-        stored_hash = content_hash(table_from_rows(schema, _own(stored, candidate)))
+        stored = rows_by_scene(root.read_shard(made.shard, [schema]), [made.scene_id])[made.scene_id][table]
+        stored_hash = content_hash(table_from_rows(schema, _own(stored, made.candidate)))
     except StoreError:
         stored_hash = None
-    own = _own(fresh, candidate)
+    own = _own(made.rows[table], made.candidate)
     return Comparison(table, len(own), content_hash(table_from_rows(schema, own)), stored_hash)
 
 
@@ -155,10 +171,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("name", help="a scene id or a candidate id")
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder to compare with")
     parser.add_argument("--recipe", type=Path, default=DEFAULT_RECIPE)
+    parser.add_argument("--catalogue", type=Path, default=PACKAGED_CATALOGUE, help="that the dataset is of (the benchmark's)")
     add_film_flags(parser)
     chosen = parser.parse_args(arguments)
     try:
-        made = make_again(chosen.name, chosen.recipe)
+        check_dataset(DataRoot(chosen.data), chosen.catalogue)
+        made = make_again(chosen.name, chosen.recipe, catalogue=chosen.catalogue)
         comparisons = compared(made, DataRoot(chosen.data))
         words = {True: "identical", False: "DIFFERENT", None: "not stored"}
         for c in comparisons:
@@ -166,7 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         found = {c.is_identical for c in comparisons}
         if False not in found and show(chosen, made.recipe, made.object_model, made.rows):
             found.add(True)
-    except (IdentityError, RecipeError, ShownError) as error:
+    except (DatasetError, IdentityError, ObjectError, RecipeError, ShownError) as error:
         print(error, file=sys.stderr)
         return 1
     return 1 if False in found else 2 if found == {None} else 0

@@ -15,13 +15,14 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from objects.catalogue import PACKAGED_CATALOGUE
 from pipelines.proofs.regenerate import regenerate
 from pipelines.recipe import load_recipe
 from pipelines.running.data_root import DataRoot
 from pipelines.running.object_tables import make_object_tables
 from pipelines.running.shard_runner import load_shard_inputs, run_stage
 from pipelines.stages import STAGES
-from tables.identity import order_key, parse_scene_id, scenes_of_shard
+from tables.identity import family_of_shard, order_key
 from tables.schemas import CANDIDATE_PAIRS, OBJECT_TABLES
 from tables.store import read_sidecar, read_table
 
@@ -29,11 +30,11 @@ from tables.store import read_sidecar, read_table
 def reproduce(shard: str, n_scenes: int, n_alone: int, folder: Path, console: Console) -> bool:
     """Build some scenes several ways and compare every table; True where nothing differs."""
     roots = {name: DataRoot(folder / name) for name in ("one worker", "two workers, shuffled")}
-    recipe = load_recipe(parse_scene_id(scenes_of_shard(shard)[0])[0])
+    recipe = load_recipe(family_of_shard(shard))
     for n_workers, root in zip((1, 2), roots.values(), strict=True):
-        make_object_tables(root, recipe, n_workers, lambda _: None)
+        make_object_tables(root, recipe, PACKAGED_CATALOGUE, n_workers, lambda _: None)
     first, second = roots.values()
-    whole = load_shard_inputs(first, shard, recipe)
+    whole = load_shard_inputs(first, shard, recipe, PACKAGED_CATALOGUE)
     inputs = replace(whole, allocations=whole.allocations[:n_scenes])
     shuffled = replace(inputs, allocations=sorted(inputs.allocations, key=lambda a: order_key(recipe.seed, "reproduce", a.scene_id)))
     table = Table("table", "rows", *roots, "same")

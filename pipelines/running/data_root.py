@@ -53,6 +53,10 @@ class DataRoot:
     def checkpoint(self, tier: str, variant: str, seed: int) -> Path:
         return self.path / "checkpoints" / tier / f"{variant}-{seed}"
 
+    def dataset_record(self) -> Path:
+        """Which catalogue the dataset is of, where it is not the benchmark's; see dataset_record.py."""
+        return self.path / "dataset.json"
+
     def objects_lock(self) -> Path:
         """Held by whoever makes the object tables; see lock.py."""
         return self.path / "objects" / ".lock"

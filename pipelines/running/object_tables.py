@@ -13,7 +13,7 @@ from typing import Any
 import pyarrow as pa
 
 from objects.build import build_object
-from objects.catalogue import PACKAGED_CATALOGUE, ObjectSpec, load_catalogue
+from objects.catalogue import ObjectSpec, load_catalogue
 from objects.errors import ObjectError
 from objects.provenance import catalogue_sources, object_sources
 from pipelines.recipe import Recipe
@@ -31,7 +31,7 @@ class ObjectTablesError(ObjectError):
 
 
 def make_object_tables(
-    root: DataRoot, recipe: Recipe, n_workers: int, log: Callable[[str], Any] = print, catalogue: Path = PACKAGED_CATALOGUE
+    root: DataRoot, recipe: Recipe, catalogue: Path, n_workers: int, log: Callable[[str], Any] = print
 ) -> dict[str, Sidecar]:
     """Publish `objects`, `object_meshes`, `object_parts`, `stable_poses` and `grasp_pool`, or keep them where nothing changed.
 
@@ -39,6 +39,7 @@ def make_object_tables(
     same bits as if all objects had been built at once.
 
     Args:
+        catalogue: file of the objects.
         n_workers: worker processes; 0 stays in this process. The result does not depend on it.
         log: is told of every object that was built.
 
@@ -66,7 +67,7 @@ def make_object_tables(
         return sidecars
 
 
-def are_objects_current(root: DataRoot, recipe: Recipe, catalogue: Path = PACKAGED_CATALOGUE) -> bool:
+def are_objects_current(root: DataRoot, recipe: Recipe, catalogue: Path) -> bool:
     """Whether `make_object_tables` would keep every table as it is.
 
     Raises:

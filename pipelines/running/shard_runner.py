@@ -6,8 +6,10 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from objects.catalogue import catalogue_order
 from objects.object_model import ObjectModel, object_models_from_tables
@@ -22,12 +24,13 @@ from pipelines.running.workers import run_units
 from pipelines.scenes.allocation import scene_allocation
 from pipelines.stage import Promise, Stage, Unit
 from pipelines.values import SceneAllocation
+from tables.columns import TableSchema
 from tables.errors import PlaceBenchError
-from tables.identity import scenes_of_shard
-from tables.schemas import OBJECT_TABLES, TIMINGS
+from tables.schemas import ALL_SCHEMAS, OBJECT_TABLES, TIMINGS
 from tables.sidecar import Missing, Sidecar, StoreError, find_published, read_sidecar
-from tables.store import read_tables, write_table
+from tables.store import content_hash, read_tables, table_from_columns, write_table
 from tables.versions import library_versions
+from tables.vocabulary import Allocation
 
 
 class StageError(PlaceBenchError, RuntimeError):
@@ -71,12 +74,31 @@ class ShardInputs:
         return self.recipe.promise(self.allocations)
 
 
-def load_shard_inputs(root: DataRoot, shard: str, recipe: Recipe) -> ShardInputs:
-    """Inputs of a whole shard, with the objects that are published below `root`."""
-    order = catalogue_order()
-    allocations = [scene_allocation(scene_id, order) for scene_id in scenes_of_shard(shard)]
+def load_shard_inputs(root: DataRoot, shard: str, recipe: Recipe, catalogue: Path) -> ShardInputs:
+    """Inputs of a whole shard, with the objects that are published below `root`.
+
+    Args:
+        catalogue: file that the objects are of.
+
+    Raises:
+        CatalogueError: the catalogue is not what it should be.
+        IdentityError: a dataset of this catalogue has no such shard.
+        StoreError: the object tables are not published.
+    """
+    order = catalogue_order(catalogue)
+    allocations = [scene_allocation(scene_id, order) for scene_id in order.layout.scenes_of_shard(shard)]
     hashes = {name: read_sidecar(root.object_table(name)).content_hash for name in OBJECT_TABLES}
-    return ShardInputs(recipe, object_models_from_tables(**root.read_objects()), allocations, hashes)
+    tables = root.read_objects()
+    if order.allocation is Allocation.APPENDED:
+        # Of its own object alone: a shard stays as it is when the catalogue gets another one.
+        own = sorted({allocation.object_id for allocation in allocations})
+        hashes = {name: content_hash(_of_objects(ALL_SCHEMAS[name], table, own)) for name, table in tables.items()}
+    return ShardInputs(recipe, object_models_from_tables(**tables), allocations, hashes)
+
+
+def _of_objects(schema: TableSchema, table: pa.Table, object_ids: Sequence[str]) -> pa.Table:
+    own = table.filter(pc.is_in(table["object_id"].cast(pa.string()), pa.array(object_ids, pa.string())))
+    return table_from_columns(schema, {name: own[name] for name in schema.names})
 
 
 def run_stage(

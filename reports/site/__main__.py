@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from reports.site.pages import Site
-from splits.release_reader import Release
+from splits.release_reader import Release, report_folder
 from tables.errors import PlaceBenchError
 from tables.store import write_bytes_atomically
 
@@ -39,13 +39,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     about, _, more = (__doc__ or "").partition("\n")
     parser = argparse.ArgumentParser(prog="python -m reports.site", description=about, epilog=more.rpartition("\n\n")[2])
     parser.add_argument("release", type=Path, help="folder of a release")
-    parser.add_argument("--reports", type=Path, metavar="DIR", help="folder of its reports (reports/out/TIER)")
+    parser.add_argument(
+        "--reports",
+        type=Path,
+        metavar="DIR",
+        help="folder of its reports (reports/out/TIER, or reports/TIER beside an own dataset)",
+    )
     parser.add_argument("--films", type=Path, metavar="DIR", help="folder of films (films/ in that of the reports)")
     parser.add_argument("--out", type=Path, help="folder for the pages (site/ in that of the reports)")
     chosen = parser.parse_args(arguments)
     try:
         release = Release.open(chosen.release)
-        reports = chosen.reports or Path("reports/out") / release.manifest.tier
+        reports = chosen.reports or report_folder(release)
         out: Path = chosen.out or reports / "site"
         if out.exists() and any(out.iterdir()) and not (out / "site.js").exists():
             print(f"error: {out}: holds something else than a site, must be empty or a site", file=sys.stderr)

@@ -17,6 +17,8 @@ from reports.site.content import browsed, browser_data, ladder, objects, scenes
 from reports.site.rendering import ASSETS, asset, markdown_html, page
 from splits.manifest import CARD, DATASHEET
 from splits.markdown import MISSING
+from splits.own import name_of
+from splits.provenance import is_own
 from splits.release_reader import Release
 from tables.vocabulary import ExecStatus, PlanStatus, Split
 
@@ -90,7 +92,8 @@ class Site:
 
     def _page(self, template: str, title: str, here: str, **values: Any) -> str:
         manifest = self.release.manifest
-        site = {"tier": manifest.tier, "version": manifest.version, "release_hash": manifest.release_hash, "menu": _MENU}
+        name, version = name_of(manifest.provenance), "" if is_own(manifest.provenance) else manifest.version
+        site = {"name": name, "tier": manifest.tier, "version": version, "release_hash": manifest.release_hash, "menu": _MENU}
         return page(template, title=title, here=here, root="../" * here.count("/"), site=site, **values)
 
     def _reports(self) -> dict[str, str]:

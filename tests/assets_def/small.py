@@ -9,7 +9,7 @@ from assets_def.resources import Benchmark
 from assets_def.trees_assets import TREE_PREDICTIONS, TREE_TIMES
 from model.features import CANDIDATE_GEOMETRY
 from objects.build import build_object
-from objects.catalogue import catalogue_order, load_catalogue
+from objects.catalogue import PACKAGED_CATALOGUE, catalogue_order, load_catalogue
 from pipelines.running.data_root import DataRoot
 from pipelines.running.shard_runner import ShardInputs
 from pipelines.scenes.allocation import scene_allocation
@@ -41,7 +41,7 @@ def small_benchmark(folder: Path) -> SmallBenchmark:
 
 def write_objects(benchmark: Benchmark) -> None:
     """Object tables of the two objects, built anew."""
-    wanted = {scene_allocation(scene_id, catalogue_order()).object_id for scene_id in SCENES}
+    wanted = {scene_allocation(scene_id, catalogue_order(PACKAGED_CATALOGUE)).object_id for scene_id in SCENES}
     recipe = benchmark.recipe(TIER)
     built = [build_object(spec, recipe.objects, recipe.seed) for spec in load_catalogue() if spec.object_id in wanted]
     for name in OBJECT_TABLES:

@@ -10,7 +10,7 @@ from dagster import AssetKey
 from assets_def.definitions import definitions
 from assets_def.partitions import parse_ranker_key, ranker_partitions, rankers_of_tier, shard_partitions, tier_partitions
 from pipelines.stages import STAGES
-from tables.identity import shards_of_tier
+from tables.layout import INTERLEAVED
 
 GOLDEN = Path(__file__).resolve().parent.parent / "golden" / "asset_graph.json"
 
@@ -42,7 +42,7 @@ def test_every_gate_blocks() -> None:
 def test_partitions_are_few_enough_for_staleness_tracking() -> None:
     assert len(shard_partitions.get_partition_keys()) == 66 < 100
     assert tier_partitions.get_partition_keys() == ["mini", "pilot", "full"]
-    assert set(shards_of_tier("pilot")) < set(shard_partitions.get_partition_keys())
+    assert set(INTERLEAVED.shards_of_tier("pilot")) < set(shard_partitions.get_partition_keys())
 
 
 def test_ranker_keys_round_trip() -> None:

@@ -9,7 +9,7 @@ from assets_def.definitions import definitions
 from assets_def.jobs import job_of, jobs
 from assets_def.partitions import ranker_partitions, shard_partitions, tier_partitions
 from pipelines.stages import STAGES
-from tables.identity import shards_of_tier
+from tables.layout import INTERLEAVED
 
 PARTITIONS = {
     "objects": None,
@@ -46,8 +46,8 @@ def test_the_jobs_cover_the_graph() -> None:
 def test_a_description_says_what_to_launch_with() -> None:
     for tier in ("mini", "pilot", "full"):
         description = job(tier).description or ""
-        assert shards_of_tier(tier)[0] in description
-        assert shards_of_tier(tier)[-1] in description
+        assert INTERLEAVED.shards_of_tier(tier)[0] in description
+        assert INTERLEAVED.shards_of_tier(tier)[-1] in description
     assert "mini.full.42" in (job("rankers").description or "")
     assert "mini.full.42" in ranker_partitions.get_partition_keys()
 

@@ -100,7 +100,7 @@ def test_a_scene_that_cannot_be_made_is_no_success(
     assert (summary["scenes"], summary["candidates"], summary["scenes_not_made"]) == (1, 0, 1)
 
 
-def _fail(scene_id: str, recipe_path: Path) -> None:
+def _fail(scene_id: str, recipe_path: Path, catalogue: Path) -> None:
     raise ValueError(f"{scene_id} fails")
 
 

@@ -8,7 +8,8 @@ import pytest
 
 from reports.report import ReportError
 from reports.shard_diagnostics import MEASURES, MIN_SHARDS, SHARD_TABLES, Z_LIMIT, robust_z, shard_diagnostics_report, shard_frame
-from tables.identity import candidate_id_of, scenes_of_shard
+from tables.identity import candidate_id_of
+from tables.layout import INTERLEAVED
 from tables.schemas import ALL_SCHEMAS
 
 COLUMNS = {
@@ -28,7 +29,7 @@ def tables_of(n_lifted: dict[str, list[int]], n_tried: int = 4, n_targets: int =
     """
     rows: dict[str, list[tuple[object, ...]]] = {name: [] for name in SHARD_TABLES}
     for shard, counts in n_lifted.items():
-        for scene_id, n in zip(scenes_of_shard(shard), counts, strict=False):
+        for scene_id, n in zip(INTERLEAVED.scenes_of_shard(shard), counts, strict=False):
             rows["scenes"].append((scene_id,))
             rows["targets"] += [(scene_id, target) for target in range(n_targets)]
             rows["pick_lift"] += [(scene_id, "lifted" if grasp < n else "slipped") for grasp in range(n_tried)]
@@ -53,7 +54,7 @@ def _plain(table: str, column: str) -> pa.DataType:
 
 
 def test_shares_are_counts_of_the_tables() -> None:
-    frame = shard_frame(tables_of({"full-000": [4, 2, 0], "full-001": [1]}))
+    frame = shard_frame(tables_of({"full-000": [4, 2, 0], "full-001": [1]}), INTERLEAVED)
     first, second = frame.to_dicts()
     assert (first["shard"], first["n_scenes"], second["shard"], second["n_scenes"]) == ("full-000", 3, "full-001", 1)
     assert first["lifted"] == pytest.approx(6 / 12)
@@ -66,9 +67,9 @@ def test_shares_are_counts_of_the_tables() -> None:
 
 def test_a_shard_without_candidates_has_no_shares_and_no_coverage() -> None:
     tables = tables_of({"full-000": [2], "full-001": [0]})
-    empty = shard_frame(tables).to_dicts()[1]
+    empty = shard_frame(tables, INTERLEAVED).to_dicts()[1]
     assert (empty["planned"], empty["succeeded"], empty["candidates_per_scene"], empty["coverage"]) == (None, None, 0.0, 0.0)
-    assert "– (+0.0)" in shard_diagnostics_report(tables, tier="pilot").markdown
+    assert "– (+0.0)" in shard_diagnostics_report(tables, tier="pilot", layout=INTERLEAVED).markdown
 
 
 def test_the_robust_z_is_the_formula_of_the_rule() -> None:
@@ -96,11 +97,11 @@ def test_equal_values_unknown_values_and_few_values_have_no_z() -> None:
 
 def test_a_shard_that_stands_out_is_flagged_and_counted() -> None:
     yields = {f"full-{k:03d}": [2 + (k + j) % 2 for j in range(6)] for k in range(12)}
-    sound = shard_diagnostics_report(tables_of(yields), tier="full")
+    sound = shard_diagnostics_report(tables_of(yields), tier="full", layout=INTERLEAVED)
     assert sound.metrics["n_flagged"] == 0
     assert "None of 12." in sound.markdown
     assert "**" not in sound.markdown.split("## Every shard")[1]
-    odd = shard_diagnostics_report(tables_of(yields | {"full-007": [0] * 6}), tier="full")
+    odd = shard_diagnostics_report(tables_of(yields | {"full-007": [0] * 6}), tier="full", layout=INTERLEAVED)
     assert odd.metrics["n_flagged"] == 1
     assert odd.metrics["n_shards"] == 12
     flagged = odd.markdown.split("## Shards that stand out")[1].split("## Every shard")[0]
@@ -110,7 +111,7 @@ def test_a_shard_that_stands_out_is_flagged_and_counted() -> None:
 
 
 def test_the_rule_and_the_numbers_are_stated() -> None:
-    report = shard_diagnostics_report(tables_of({f"full-{k:03d}": [1, 3] for k in range(4)}), tier="pilot")
+    report = shard_diagnostics_report(tables_of({f"full-{k:03d}": [1, 3] for k in range(4)}), tier="pilot", layout=INTERLEAVED)
     assert "0.6745" in report.markdown
     assert f"|z| > {Z_LIMIT}" in report.markdown
     assert "Too few to say: 4, at least 8 are needed." in report.markdown
@@ -122,12 +123,14 @@ def test_the_rule_and_the_numbers_are_stated() -> None:
 def test_rows_in_any_order_give_the_same_report() -> None:
     tables = tables_of({f"full-{k:03d}": [k % 4, 1, 3] for k in range(9)})
     backwards = {name: table.take(list(range(table.num_rows))[::-1]) for name, table in tables.items()}
-    assert shard_diagnostics_report(backwards, tier="full") == shard_diagnostics_report(tables, tier="full")
+    assert shard_diagnostics_report(backwards, tier="full", layout=INTERLEAVED) == shard_diagnostics_report(
+        tables, tier="full", layout=INTERLEAVED
+    )
 
 
 def test_missing_tables_and_scenes_are_refused() -> None:
     tables = tables_of({"full-000": [1]})
     with pytest.raises(ReportError, match="pick_lift: missing"):
-        shard_frame({name: table for name, table in tables.items() if name != "pick_lift"})
+        shard_frame({name: table for name, table in tables.items() if name != "pick_lift"}, INTERLEAVED)
     with pytest.raises(ReportError, match="scenes: 0 rows, must be at least 1"):
-        shard_frame(tables | {"scenes": tables["scenes"].slice(0, 0)})
+        shard_frame(tables | {"scenes": tables["scenes"].slice(0, 0)}, INTERLEAVED)

@@ -45,7 +45,7 @@ def test_it_is_valid_without_errors_or_warnings(current: Path) -> None:
     assert metadata.ctx.is_v1_1()
     assert metadata.conforms_to == list(CONFORMS_TO)
     assert metadata.version == load_citation().version
-    assert metadata.data_limitations == limits()
+    assert metadata.data_limitations == limits(PROVENANCE)
     assert all((metadata.data_collection, metadata.data_biases, metadata.data_use_cases, metadata.date_published, metadata.license))
 
 
@@ -98,7 +98,7 @@ def test_every_file_has_the_checksum_of_the_manifest(content: dict[str, Any], cu
 def test_responsible_ai_is_answered(content: dict[str, Any], release_tables: dict[str, pa.Table]) -> None:
     said = {key.removeprefix("rai:"): value for key, value in content.items() if key.startswith("rai:")}
     assert {"dataCollection", "dataBiases", "dataLimitations", "dataUseCases", "personalSensitiveInformation"} <= said.keys()
-    assert said["dataLimitations"] == limits()
+    assert said["dataLimitations"] == limits(PROVENANCE)
     assert len(said["dataLimitations"]) >= 5
     assert f"{release_tables['candidates'].num_rows:,} candidates" in said["dataCollection"]
     assert any(tool.startswith("mujoco-core ") for tool in said["machineAnnotationTools"])

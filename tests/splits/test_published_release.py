@@ -13,7 +13,7 @@ import pytest
 from splits.manifest import DATA_VERSION, read_manifest
 from splits.release import verify_release
 from splits.release_folder import left_out
-from tables.identity import n_scenes_of
+from tables.layout import INTERLEAVED
 from tables.schemas import HEAVY_TABLES
 from tests.test_readme import QUERIES
 
@@ -25,7 +25,7 @@ MAX_BYTES = 40e6
 def test_it_is_sound_and_as_large_as_promised() -> None:
     manifest = verify_release(FULL, may_be_light=True)
     assert (manifest.tier, manifest.version) == ("full", DATA_VERSION)
-    assert manifest.tables["scenes"].rows == n_scenes_of("full") == 1235
+    assert manifest.tables["scenes"].rows == INTERLEAVED.n_scenes_of("full") == 1235
     assert manifest.tables["candidates"].rows >= 250_000
     assert "-dirty" not in manifest.provenance["git_commit"]
 

@@ -7,25 +7,28 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from objects.catalogue import CatalogueOrder
 from pipelines.scenes.allocation import family_allocation
 from splits.scene_groups import SplitError, SplitParams, UniverseScene, split_rows
-from tables.identity import scenes_of_shard, shards_of_tier
+from tables.layout import INTERLEAVED
+from tables.vocabulary import Allocation
 
 OBJECTS = [(f"{category}_{k:02d}", category) for category in ("can", "mug", "cuboid") for k in range(1, 11)]
+CATALOGUE = CatalogueOrder(tuple(OBJECTS), Allocation.INTERLEAVED)
 SPLITS = ("train", "validation", "test")
 
 
 def universe_of(family: str) -> list[UniverseScene]:
-    return [(allocation.scene_id, allocation.category, allocation.n_obstacles) for allocation in family_allocation(family, OBJECTS)]
+    return [(allocation.scene_id, allocation.category, allocation.n_obstacles) for allocation in family_allocation(family, CATALOGUE)]
 
 
 def splits_of(universe: list[UniverseScene], seed: int = 42, params: SplitParams | None = None) -> dict[str, str]:
-    rows = split_rows([scene_id for scene_id, _, _ in universe], universe, params or SplitParams(), seed)
+    rows = split_rows([scene_id for scene_id, _, _ in universe], universe, INTERLEAVED, params or SplitParams(), seed)
     return {row["scene_id"]: row["split"] for row in rows}
 
 
 FULL = universe_of("full")
-PILOT_IDS = [scene_id for shard in shards_of_tier("pilot") for scene_id in scenes_of_shard(shard)]
+PILOT_IDS = INTERLEAVED.scenes_of_tier("pilot")
 
 
 @st.composite
@@ -64,7 +67,7 @@ def test_mini_has_every_category_and_obstacle_count_in_every_split(seed: int) ->
 
 
 def test_a_scene_keeps_its_split_in_every_tier() -> None:
-    rows = split_rows(PILOT_IDS, FULL, SplitParams(), 42)
+    rows = split_rows(PILOT_IDS, FULL, INTERLEAVED, SplitParams(), 42)
     assert len(rows) == 76
     in_full = splits_of(FULL)
     assert all(row["split"] == in_full[row["scene_id"]] for row in rows)
@@ -95,7 +98,7 @@ def test_the_order_of_the_universe_and_of_the_request_does_not_matter(universe: 
     assert splits_of(universe, seed) == splits_of(shuffled, seed)
     some = [scene_id for scene_id, _, _ in shuffled[: len(shuffled) // 2]]
     whole = splits_of(universe, seed)
-    assert split_rows(some, universe, SplitParams(), seed) == [{"scene_id": s, "split": whole[s]} for s in sorted(some)]
+    assert split_rows(some, universe, INTERLEAVED, SplitParams(), seed) == [{"scene_id": s, "split": whole[s]} for s in sorted(some)]
 
 
 @given(universes(), st.integers(0, 5))
@@ -135,7 +138,7 @@ def test_another_seed_gives_another_split() -> None:
 )
 def test_a_universe_that_cannot_be_split_is_refused(wanted: list[str], universe: list[UniverseScene], message: str) -> None:
     with pytest.raises(SplitError, match=message):
-        split_rows(wanted, universe, SplitParams(), 42)
+        split_rows(wanted, universe, INTERLEAVED, SplitParams(), 42)
 
 
 @pytest.mark.parametrize(

@@ -4,38 +4,42 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from objects.catalogue import CanShape, CuboidShape, catalogue_order, load_catalogue
+from objects.catalogue import PACKAGED_CATALOGUE, CanShape, CuboidShape, catalogue_order, load_catalogue
 from pipelines.scenes.allocation import family_allocation
 from pipelines.values import SceneAllocation
 from splits.scene_groups import SplitError, SplitParams, split_rows
 from splits.schemes import (
     HELD_OUT_CATEGORY,
     SizedObject,
+    appended_parts,
     catalogue_sizes,
     empty_parts,
+    not_applying,
     object_parts,
     scheme_rows,
     size_classes,
     split_table,
 )
-from tables.identity import scenes_of_shard, shards_of_tier
+from tables.layout import INTERLEAVED
 from tables.schemas import SPLITS
 from tables.store import table_from_rows
 from tables.vocabulary import Split, SplitScheme
+from tests.objects.test_catalogue import BOX, write
 
-UNIVERSE = {family: family_allocation(family, catalogue_order()) for family in ("mini", "full")}
-TIERS = {tier: [scene_id for shard in shards_of_tier(tier) for scene_id in scenes_of_shard(shard)] for tier in ("mini", "pilot", "full")}
+UNIVERSE = {family: family_allocation(family, catalogue_order(PACKAGED_CATALOGUE)) for family in ("mini", "full")}
+TIERS = {tier: INTERLEAVED.scenes_of_tier(tier) for tier in ("mini", "pilot", "full")}
 
 
 def rows_of(tier: str, seed: int = 42) -> dict[str, dict[str, str]]:
     """Rows of `splits` of a tier by scene."""
-    table = split_table(TIERS[tier], UNIVERSE["mini" if tier == "mini" else "full"], SplitParams(), seed)
+    table = split_table(TIERS[tier], UNIVERSE["mini" if tier == "mini" else "full"], PACKAGED_CATALOGUE, SplitParams(), seed)
     return {row["scene_id"]: row for row in table.to_pylist()}
 
 
@@ -69,7 +73,7 @@ def test_every_scheme_keeps_its_promise(
     drawn: tuple[dict[str, SizedObject], list[SceneAllocation], list[dict[str, str]]], seed: int
 ) -> None:
     sizes, universe, by_scene = drawn
-    rows = scheme_rows(by_scene, universe, sizes, seed)
+    rows = scheme_rows(by_scene, universe, object_parts(sizes, seed))
     table_from_rows(SPLITS, rows)
     assert [{"scene_id": row["scene_id"], "split": row["split"]} for row in rows] == by_scene
     allocation = {a.scene_id: a for a in universe}
@@ -92,11 +96,11 @@ def test_order_and_company_of_a_scene_decide_nothing(
     drawn: tuple[dict[str, SizedObject], list[SceneAllocation], list[dict[str, str]]], random: object
 ) -> None:
     sizes, universe, by_scene = drawn
-    whole = {row["scene_id"]: row for row in scheme_rows(by_scene, universe, sizes, 42)}
+    whole = {row["scene_id"]: row for row in scheme_rows(by_scene, universe, object_parts(sizes, 42))}
     shuffled, names = list(by_scene), list(sizes)
     random.shuffle(shuffled)  # type: ignore[attr-defined]
     random.shuffle(names)  # type: ignore[attr-defined]
-    some = scheme_rows(shuffled[: len(shuffled) // 2], universe[::-1], {name: sizes[name] for name in names}, 42)
+    some = scheme_rows(shuffled[: len(shuffled) // 2], universe[::-1], object_parts({name: sizes[name] for name in names}, 42))
     assert all(whole[row["scene_id"]] == row for row in some)
 
 
@@ -123,7 +127,7 @@ def test_three_rotations_partition_the_scenes() -> None:
 
 
 def test_the_catalogue_trains_on_eighteen_objects() -> None:
-    sizes = catalogue_sizes()
+    sizes = catalogue_sizes(PACKAGED_CATALOGUE)
     part_of = object_parts(sizes, 42)
     assert Counter(part_of.values()) == {Split.TRAIN: 18, Split.VALIDATION: 6, Split.TEST: 6}
     assert Counter((part_of[name], sizes[name][0]) for name in sizes if part_of[name] is not Split.TRAIN) == {
@@ -136,10 +140,10 @@ def test_sizes_are_those_of_the_shapes() -> None:
     """A cuboid by its edges and a can by its diameter and height, of the catalogue file: nothing of the mesh is taken on trust."""
     for spec in load_catalogue():
         if isinstance(spec.shape, CuboidShape):
-            assert catalogue_sizes()[spec.object_id][1] == pytest.approx(np.prod(spec.shape.size_m))
+            assert catalogue_sizes(PACKAGED_CATALOGUE)[spec.object_id][1] == pytest.approx(np.prod(spec.shape.size_m))
         if isinstance(spec.shape, CanShape):
             # The mesh has 48 facets with corners on both axes: its box is that of the cylinder.
-            assert catalogue_sizes()[spec.object_id][1] == pytest.approx(spec.shape.diameter_m**2 * spec.shape.height_m)
+            assert catalogue_sizes(PACKAGED_CATALOGUE)[spec.object_id][1] == pytest.approx(spec.shape.diameter_m**2 * spec.shape.height_m)
 
 
 @pytest.mark.parametrize("tier", list(TIERS))
@@ -164,7 +168,7 @@ def test_a_scene_keeps_its_split_in_every_tier_and_an_object_in_every_family() -
 @pytest.mark.parametrize("tier", list(TIERS))
 def test_the_paper_s_split_is_what_it_was(tier: str) -> None:
     universe = [(a.scene_id, a.category, a.n_obstacles) for a in UNIVERSE["mini" if tier == "mini" else "full"]]
-    expected = split_rows(TIERS[tier], universe, SplitParams(), 42)
+    expected = split_rows(TIERS[tier], universe, INTERLEAVED, SplitParams(), 42)
     assert [{"scene_id": row["scene_id"], "split": row["split"]} for row in rows_of(tier).values()] == expected
 
 
@@ -196,6 +200,57 @@ def test_released_schemes_never_move() -> None:
 def test_a_scene_or_object_that_is_not_known_is_refused() -> None:
     universe = [SceneAllocation("full-0000", "can_01", "can", 0)]
     with pytest.raises(SplitError, match="full-0001: has no allocation, must be one of 1 scenes"):
-        scheme_rows([{"scene_id": "full-0001", "split": "train"}], universe, {"can_01": ("can", 1e-3)}, 42)
-    with pytest.raises(SplitError, match="full-0000: object can_01 has no size, must be one of 0 objects"):
-        scheme_rows([{"scene_id": "full-0000", "split": "train"}], universe, {}, 42)
+        scheme_rows([{"scene_id": "full-0001", "split": "train"}], universe, {"can_01": Split.TRAIN})
+    with pytest.raises(SplitError, match="full-0000: object can_01 has no part, must be one of 0 objects"):
+        scheme_rows([{"scene_id": "full-0000", "split": "train"}], universe, {})
+
+
+def appended_rows(folder: Path, n_objects: int, tier: str) -> dict[str, dict[str, str]]:
+    """Rows of `splits` of a tier of a catalogue with so many objects in file order, by scene."""
+    path = write(folder, *({**BOX, "id": f'"box_{k}"'} for k in range(n_objects)))
+    order = catalogue_order(path)
+    universe = family_allocation("mini" if tier == "mini" else "full", order)
+    return {row["scene_id"]: row for row in split_table(order.layout.scenes_of_tier(tier), universe, path, SplitParams(), 42).to_pylist()}
+
+
+@pytest.mark.parametrize("tier", list(TIERS))
+def test_an_appended_object_changes_no_split_of_the_others(tier: str, tmp_path: Path) -> None:
+    before, after = appended_rows(tmp_path, 3, tier), appended_rows(tmp_path, 7, tier)
+    assert len(before) * 7 == len(after) * 3
+    assert all(after[scene_id] == row for scene_id, row in before.items())
+
+
+@pytest.mark.parametrize("n_objects", [1, 3, 10])
+def test_every_object_of_an_appended_catalogue_is_in_all_splits_by_scene(n_objects: int, tmp_path: Path) -> None:
+    full = appended_rows(tmp_path, n_objects, "full")
+    assert Counter(row["split"] for row in full.values()) == {"train": 26 * n_objects, "validation": 8 * n_objects, "test": 8 * n_objects}
+    assert all(full[scene_id] == row for scene_id, row in appended_rows(tmp_path, n_objects, "pilot").items())
+    mini = Counter(row["split"] for row in appended_rows(tmp_path, n_objects, "mini").values())
+    assert mini == {"train": 4 * n_objects, "validation": n_objects, "test": n_objects}
+
+
+@given(st.integers(0, 40), st.integers(0, 5))
+def test_each_five_appended_objects_have_one_for_test_and_one_for_validation(n_objects: int, seed: int) -> None:
+    names = [f"o_{k}" for k in range(n_objects)]
+    parts = appended_parts(names, seed)
+    assert list(parts) == names
+    for first in range(0, n_objects, 5):
+        counts = Counter(parts[name] for name in names[first : first + 5])
+        if n_objects - first >= 3:
+            assert (counts[Split.TEST], counts[Split.VALIDATION]) == (1, 1)
+    assert all(parts[name] == part for name, part in appended_parts(names[: n_objects // 2], seed).items())
+
+
+@pytest.mark.parametrize(
+    ("categories", "schemes"),
+    [
+        (["can", "mug", "cuboid"], set()),
+        (["mesh"] * 3, set(HELD_OUT_CATEGORY)),
+        (["can"] * 3, set(HELD_OUT_CATEGORY)),
+        (["can", "mesh"], {SplitScheme.OBJECT, SplitScheme.CATEGORY_MUG, SplitScheme.CATEGORY_CUBOID}),
+    ],
+)
+def test_schemes_that_a_catalogue_has_no_use_for_are_named_with_a_reason(categories: list[str], schemes: set[SplitScheme]) -> None:
+    reasons = not_applying({f"o_{k}": category for k, category in enumerate(categories)})
+    assert set(reasons) == schemes
+    assert all("in the catalogue" in reason for reason in reasons.values())

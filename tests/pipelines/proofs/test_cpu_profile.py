@@ -11,7 +11,7 @@ from pipelines.running.data_root import DataRoot
 from pipelines.running.shard_runner import ShardInputs
 from pipelines.stage import Unit, UnitResult
 from pipelines.values import SceneAllocation
-from tables.identity import scenes_of_shard
+from tables.layout import INTERLEAVED
 from tests.builders import can_model, made_up_stage
 
 
@@ -22,7 +22,7 @@ def _sleep_mostly(unit: Unit) -> UnitResult:
 
 def test_the_largest_cost_is_named_with_its_share(tmp_path: Path) -> None:
     object_model = can_model()
-    allocations = [SceneAllocation(scene_id, object_model.object_id, "can", 0) for scene_id in scenes_of_shard("mini-000")]
+    allocations = [SceneAllocation(scene_id, object_model.object_id, "can", 0) for scene_id in INTERLEAVED.scenes_of_shard("mini-000")]
     inputs = ShardInputs(Recipe(), {object_model.object_id: object_model}, allocations, {})
     stage = made_up_stage(_sleep_mostly)
     ((name, share),) = largest_costs(stage, "mini-000", DataRoot(tmp_path), inputs, n_units=4, n_costs=1)

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 
 from objects.build import build_object_models
-from objects.catalogue import catalogue_order, load_catalogue
+from objects.catalogue import PACKAGED_CATALOGUE, catalogue_order, load_catalogue
 from pipelines.codecs import known_in, rows_by_scene
 from pipelines.proofs.regenerate import main, make_again, regenerate
 from pipelines.proofs.repeats import Repeat, attempt_rows
@@ -39,7 +39,7 @@ def small_inputs(recipe_path: Path) -> ShardInputs:
     """The three scenes with their objects built anew; writes the recipe."""
     recipe_path.write_text(RECIPE)
     recipe = load_recipe("mini", recipe_path)
-    allocations = [scene_allocation(scene_id, catalogue_order()) for scene_id in SCENES]
+    allocations = [scene_allocation(scene_id, catalogue_order(PACKAGED_CATALOGUE)) for scene_id in SCENES]
     wanted = {allocation.object_id for allocation in allocations}
     object_models = build_object_models([spec for spec in load_catalogue() if spec.object_id in wanted], recipe.objects, recipe.seed)
     return ShardInputs(recipe, object_models, allocations, dict.fromkeys(OBJECT_TABLES, "made here"))

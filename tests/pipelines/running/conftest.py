@@ -48,7 +48,7 @@ def built(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Tables of the three objects, to be copied."""
     folder = tmp_path_factory.mktemp("stored")
-    make_object_tables(DataRoot(folder / "data"), RECIPE, 0, lambda _: None, write(folder, *THREE))
+    make_object_tables(DataRoot(folder / "data"), RECIPE, write(folder, *THREE), 0, lambda _: None)
     return folder / "data"
 
 

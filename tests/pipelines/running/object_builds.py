@@ -25,7 +25,7 @@ CRATE = {**BOX, "id": '"crate"', "size_m": "[0.1, 0.1, 0.1]"}  # too wide for th
 def make(root: DataRoot, *entries: dict[str, str], recipe: Recipe = RECIPE, n_workers: int = 0) -> tuple[dict[str, Sidecar], list[str]]:
     """Sidecars of the tables of a catalogue with these entries, and what was logged."""
     lines: list[str] = []
-    return make_object_tables(root, recipe, n_workers, lines.append, write(root.path.parent, *entries)), lines
+    return make_object_tables(root, recipe, write(root.path.parent, *entries), n_workers, lines.append), lines
 
 
 def hashes(sidecars: dict[str, Sidecar]) -> dict[str, tuple[str, str]]:

@@ -172,7 +172,7 @@ def write_table(*arguments):
     if sys.argv[2] == "inside an object" and len(calls) == 2 * len(OBJECT_TABLES) + 3: die()
     return real(*arguments)
 object_store.write_table = write_table
-make_object_tables(DataRoot(Path(sys.argv[1])), RECIPE, 0, log, write(Path(sys.argv[1]).parent, *THREE))
+make_object_tables(DataRoot(Path(sys.argv[1])), RECIPE, write(Path(sys.argv[1]).parent, *THREE), 0, log)
 """
 
 

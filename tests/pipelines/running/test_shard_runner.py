@@ -19,7 +19,8 @@ from pipelines.running.lock import LockError
 from pipelines.running.shard_runner import Progress, ShardInputs, StageError, is_published, run_stage
 from pipelines.stage import Stage, Unit, UnitResult
 from pipelines.values import SceneAllocation
-from tables.identity import rng_for, scenes_of_shard
+from tables.identity import rng_for
+from tables.layout import INTERLEAVED
 from tables.schemas import TIMINGS
 from tables.sidecar import sidecar_path
 from tables.store import read_table
@@ -27,7 +28,7 @@ from tests.builders import can_model, made_up_stage
 from tests.split_rows import split_row
 
 SHARD = "mini-000"
-SCENES = scenes_of_shard(SHARD)
+SCENES = INTERLEAVED.scenes_of_shard(SHARD)
 
 
 def _draw(unit: Unit) -> UnitResult:
