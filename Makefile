@@ -100,5 +100,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 knobs: $(INSTALLED)  ## what each knob of the recipe moves; writes reports/out/knobs.md (about 40 minutes, resumable)
 	$(PY) -m assets_def.knobs --workers $(WORKERS)
 
-clean:  ## generated data and reports, not the environment
-	rm -rf data reports/out
+clean:  ## generated data and reports; not the environment, and not what is shipped: data/release/full, data/predictions/full
+	rm -rf reports/out
+	find data -mindepth 1 -maxdepth 1 ! -name release ! -name predictions -exec rm -rf {} +
+	find data/release data/predictions -mindepth 1 -maxdepth 1 ! -name full -exec rm -rf {} +
