@@ -84,6 +84,38 @@ def split_rows(
     return [{"scene_id": scene_id, "split": split_of[scene_id].value} for scene_id in sorted(set(scene_ids))]
 
 
+def shard_split_rows(shard: Sequence[UniverseScene], number: int, params: SplitParams, seed: int) -> list[dict[str, Any]]:
+    """Rows of `splits` for the scenes of one shard, dealt by themselves: what other shards there are decides nothing.
+
+    Validation and test take scenes of one obstacle count after the other, of each the one that hashes lowest; the first count is another
+    in the next shard, so that the counts of a split even out over three shards.
+
+    Args:
+        shard: its scenes.
+        number: of the shard in its family.
+        params: shares.
+        seed: the recipe seed.
+
+    Raises:
+        SplitError: a malformed id, a scene listed twice, or two families at once.
+    """
+    scenes = sorted(_checked(shard), key=lambda scene: order_key(seed, "splits", scene[0]))
+    counts = sorted({n_obstacles for _, _, n_obstacles in scenes})
+    queues = {n: [scene_id for scene_id, _, of in scenes if of == n] for n in counts}
+    split_of, totals, turn = (
+        dict.fromkeys((scene_id for scene_id, _, _ in scenes), Split.TRAIN),
+        _rounded(len(scenes), params.shares),
+        number,
+    )
+    for split in (Split.VALIDATION, Split.TEST):
+        for _ in range(totals[split]):
+            while not queues[counts[turn % len(counts)]]:
+                turn += 1
+            split_of[queues[counts[turn % len(counts)]].pop(0)] = split
+            turn += 1
+    return [{"scene_id": scene_id, "split": split.value} for scene_id, split in sorted(split_of.items())]
+
+
 def _checked(universe: Sequence[UniverseScene]) -> list[UniverseScene]:
     try:
         families = {parse_scene_id(scene_id)[0] for scene_id, _, _ in universe}

@@ -16,27 +16,26 @@ Scenes that `category_<name>` and `layout` do not hold out are for validation wh
 for training: what was balanced there stays balanced. A scene keeps its split in every tier, which may leave a part of a small tier empty;
 `empty_parts` says where, and `not_applying` which schemes a catalogue has no use for.
 
-In an appended catalogue the paper's split deals the scenes of every object by themselves, so that no scene changes its split, under any
-scheme, when another object joins.
+In an appended catalogue the paper's split deals the scenes of every shard, which are of one object, by themselves, so that no scene changes
+its split, under any scheme, when another object joins.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cache
-from itertools import groupby
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from objects.catalogue import CatalogueOrder, catalogue_order, load_catalogue
+from objects.catalogue import catalogue_order, load_catalogue
 from objects.solids import solid_of
 from pipelines.values import SceneAllocation
-from splits.scene_groups import SplitError, SplitParams, split_rows
-from tables.identity import order_key
+from splits.scene_groups import SplitError, SplitParams, UniverseScene, shard_split_rows, split_rows
+from tables.identity import number_of_shard, order_key
+from tables.layout import Layout
 from tables.schemas import SPLITS
 from tables.store import table_from_rows
 from tables.vocabulary import Allocation, Category, Split, SplitScheme
@@ -56,7 +55,7 @@ APPENDED_CLASS = 5  # as many as in the classes of the benchmark
 
 
 def split_table(scene_ids: Sequence[str], universe: Sequence[SceneAllocation], catalogue: Path, params: SplitParams, seed: int) -> pa.Table:
-    """Table `splits` of some scenes of a family: the paper's split by `split_rows`, the others by `scheme_rows`.
+    """Table `splits` of some scenes of a family: the paper's split by `split_rows` or `shard_split_rows`, the others by `scheme_rows`.
 
     Args:
         scene_ids: the scenes wanted.
@@ -70,23 +69,26 @@ def split_table(scene_ids: Sequence[str], universe: Sequence[SceneAllocation], c
         CatalogueError: the catalogue is not what it should be.
     """
     order = catalogue_order(catalogue)
-    by_scene = []
-    for part in _dealt_together(universe, order):
-        scenes = [(a.scene_id, a.category, a.n_obstacles) for a in part]
-        own = {scene_id for scene_id, _, _ in scenes}
-        by_scene += split_rows([scene_id for scene_id in scene_ids if scene_id in own], scenes, order.layout, params, seed)
-    missing = sorted(set(scene_ids) - {row["scene_id"] for row in by_scene})
-    if missing:
-        raise SplitError(f"{missing[0]}: not in the universe of {len(universe)} scenes ({len(missing)} scenes are not)")
+    scenes = [(a.scene_id, a.category, a.n_obstacles) for a in universe]
+    if order.allocation is Allocation.INTERLEAVED:
+        by_scene = split_rows(scene_ids, scenes, order.layout, params, seed)
+    else:
+        by_scene = _rows_by_shard(scene_ids, scenes, order.layout, params, seed)
     return table_from_rows(SPLITS, scheme_rows(by_scene, universe, parts_of_catalogue(catalogue, seed)))
 
 
-def _dealt_together(universe: Sequence[SceneAllocation], order: CatalogueOrder) -> list[Sequence[SceneAllocation]]:
-    """The universe in the parts that are dealt to the splits each by itself: all together, or object by object."""
-    if order.allocation is Allocation.INTERLEAVED:
-        return [universe]
-    of_object = attrgetter("object_id")
-    return [list(own) for _, own in groupby(sorted(universe, key=of_object), key=of_object)]
+def _rows_by_shard(
+    scene_ids: Sequence[str], universe: Sequence[UniverseScene], layout: Layout, params: SplitParams, seed: int
+) -> list[dict[str, Any]]:
+    shards: dict[str, list[UniverseScene]] = {}
+    for scene in universe:
+        shards.setdefault(layout.shard_of_scene(scene[0]), []).append(scene)
+    rows = [row for shard, own in shards.items() for row in shard_split_rows(own, number_of_shard(shard), params, seed)]
+    by_scene = {row["scene_id"]: row for row in rows}
+    missing = sorted(set(scene_ids) - by_scene.keys())
+    if missing:
+        raise SplitError(f"{missing[0]}: not in the universe of {len(universe)} scenes ({len(missing)} scenes are not)")
+    return [by_scene[scene_id] for scene_id in sorted(set(scene_ids))]
 
 
 def parts_of_catalogue(catalogue: Path, seed: int) -> dict[str, Split]:

@@ -104,5 +104,11 @@ def family_of_shard(shard: str) -> str:
     return match.group(1)
 
 
+def number_of_shard(shard: str) -> int:
+    """Number of a shard in its family."""
+    family_of_shard(shard)
+    return int(shard.partition("-")[2])
+
+
 def _digest(seed: int, stage: str, ids: tuple[str | int, ...]) -> bytes:
     return hashlib.sha256("\x1f".join((str(seed), stage, *map(str, ids))).encode()).digest()

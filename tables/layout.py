@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tables.identity import N_SCENE_NUMBERS, IdentityError, family_of_shard, family_of_tier, parse_scene_id, scene_id_of
+from tables.identity import N_SCENE_NUMBERS, IdentityError, family_of_shard, family_of_tier, number_of_shard, parse_scene_id, scene_id_of
 from tables.vocabulary import Allocation
 
 # Of an appended catalogue. `mini` shows every object with each number of obstacles twice; a shard of `full` each seven times; `pilot` is
@@ -48,7 +48,7 @@ class Layout:
         """Scene ids of a shard key such as `mini-000` or `full-017`; raises IdentityError where this layout has no such shard."""
         family = family_of_shard(shard)
         n_shards, n_scenes = self._sizes(family)
-        number = int(shard.partition("-")[2])
+        number = number_of_shard(shard)
         if number >= n_shards:
             raise IdentityError(f"{shard!r} is not a shard of this dataset; expected {self._shards_in_words()}")
         return tuple(scene_id_of(family, number * n_scenes + k) for k in range(n_scenes))

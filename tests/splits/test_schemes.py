@@ -229,6 +229,18 @@ def test_every_object_of_an_appended_catalogue_is_in_all_splits_by_scene(n_objec
     assert mini == {"train": 4 * n_objects, "validation": n_objects, "test": n_objects}
 
 
+@pytest.mark.parametrize("tier", list(TIERS))
+def test_three_appended_objects_have_every_obstacle_count_in_every_split(tier: str, tmp_path: Path) -> None:
+    """In `mini` each object has one scene for test and one for validation: over three objects one of each count."""
+    rows = appended_rows(tmp_path, 3, tier)
+    path = write(tmp_path, *({**BOX, "id": f'"box_{k}"'} for k in range(3)))
+    n_obstacles = {a.scene_id: a.n_obstacles for a in family_allocation("mini" if tier == "mini" else "full", catalogue_order(path))}
+    for split in ("validation", "test"):
+        counts = Counter(n_obstacles[scene_id] for scene_id, row in rows.items() if row["split"] == split)
+        assert len(counts) == 3
+        assert max(counts.values()) - min(counts.values()) <= 1
+
+
 @given(st.integers(0, 40), st.integers(0, 5))
 def test_each_five_appended_objects_have_one_for_test_and_one_for_validation(n_objects: int, seed: int) -> None:
     names = [f"o_{k}" for k in range(n_objects)]
