@@ -14,7 +14,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +66,7 @@ def rebuild(directory: Path, name: str, n_workers: int = 1, recipe_path: Path = 
     stage, recipe = _STAGE_OF[name], load_recipe(family_of_tier(release.manifest.tier), recipe_path)
     check_origin(release.manifest, [stage], recipe)
     root = DataRoot(directory.resolve().with_name(f".{directory.resolve().name}.rebuild"))
-    shards = _make_shards(release, stage, recipe, root, n_workers, log)
+    shards = make_shards(release, stage, _upstream(release, stage), recipe, root, n_workers, log)
     made = {s.name: read_tables(s, [root.shard_table(shard, s.name) for shard in shards], of=shards) for s in stage.outputs}
     try:
         _check_outcome(release, name, made)
@@ -88,10 +88,31 @@ def check_origin(manifest: Manifest, stages: Sequence[Stage], recipe: Recipe) ->
             )
 
 
-def _make_shards(release: Release, stage: Stage, recipe: Recipe, root: DataRoot, n_workers: int, log: Callable[[str], Any]) -> list[str]:
-    """Run the stage on every shard that the release has scenes of; returns their keys."""
-    upstream = _upstream(release, stage)
-    allocations = {allocation.scene_id: allocation for allocation in allocations_in(release.table("scenes"))}
+def make_shards(
+    release: Release,
+    stage: Stage,
+    upstream: Mapping[str, pa.Table],
+    recipe: Recipe,
+    root: DataRoot,
+    n_workers: int,
+    log: Callable[[str], Any],
+    scene_ids: Collection[str] | None = None,
+) -> list[str]:
+    """Run a stage on every shard that the release has scenes of, or has some scenes of; returns their keys.
+
+    Args:
+        upstream: the tables that the stage reads, by name.
+        root: where they are laid out shard by shard, and what the stage makes is put.
+        scene_ids: the scenes; all without them.
+
+    Raises:
+        StageError: scenes that could not be made; the others are kept for the next run.
+    """
+    allocations = {
+        allocation.scene_id: allocation
+        for allocation in allocations_in(release.table("scenes"))
+        if scene_ids is None or allocation.scene_id in scene_ids
+    }
     object_models = object_models_from_tables(*(release.table(name) for name in OBJECT_TABLES))
     object_hashes = {name: release.manifest.tables[name].content_hash for name in OBJECT_TABLES}
     layout = release.manifest.layout
@@ -100,7 +121,7 @@ def _make_shards(release: Release, stage: Stage, recipe: Recipe, root: DataRoot,
     for k, shard in enumerate(shards, 1):
         own = [scene_id for scene_id in layout.scenes_of_shard(shard) if scene_id in allocations]
         for name, table in upstream.items():
-            _write_upstream(root, shard, name, _of_scenes(table, own), release.manifest)
+            _write_upstream(root, shard, name, rows_of_scenes(table, own), release.manifest)
         inputs = ShardInputs(recipe, object_models, [allocations[scene_id] for scene_id in own], object_hashes)
         report = run_stage(stage, shard, root, inputs, n_workers, log=log)
         n_made += not report.is_reused
@@ -126,8 +147,9 @@ def _planned(release: Release) -> dict[str, pa.Table]:
     return {"grasps": release.table("grasps"), "candidates": candidates.filter(candidates["y_plan"])}
 
 
-def _of_scenes(table: pa.Table, scene_ids: Sequence[str]) -> pa.Table:
-    return table.filter(pc.is_in(table["scene_id"].cast(pa.string()), pa.array(scene_ids, pa.string())))
+def rows_of_scenes(table: pa.Table, scene_ids: Collection[str]) -> pa.Table:
+    """The rows of some scenes of a table with a column `scene_id`."""
+    return table.filter(pc.is_in(table["scene_id"].cast(pa.string()), pa.array(sorted(scene_ids), pa.string())))
 
 
 def _write_upstream(root: DataRoot, shard: str, name: str, table: pa.Table, manifest: Manifest) -> None:
@@ -144,7 +166,7 @@ def _check_outcome(release: Release, name: str, made: Mapping[str, pa.Table]) ->
         expected = stored.get(other, lambda other=other: release.table(other))()
         if content_hash(made[other]) != content_hash(expected):
             raise ReleaseError(
-                f"{other} made again with {name}: {_first_difference(made[other], expected)}; nothing was put into the release"
+                f"{other} made again with {name}: {first_difference(made[other], expected)}; nothing was put into the release"
             )
     entry, found = release.manifest.tables[name], content_hash(made[name])
     if found != entry.content_hash:
@@ -161,7 +183,8 @@ def other_engines(manifest: Manifest, engines: Iterable[str]) -> str:
     return f" (made with {'; '.join(other)})" if other else ""
 
 
-def _first_difference(made: pa.Table, expected: pa.Table) -> str:
+def first_difference(made: pa.Table, expected: pa.Table) -> str:
+    """In what two tables that should be equal differ first, in words."""
     if made.num_rows != expected.num_rows:
         return f"{made.num_rows} rows, the release holds {expected.num_rows}"
     row, found, stored = next((k, a, b) for k, (a, b) in enumerate(zip(made.to_pylist(), expected.to_pylist(), strict=True)) if a != b)

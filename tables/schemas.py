@@ -207,7 +207,7 @@ TEST_REPLICATES = TableSchema("test_replicates", "planned candidates of the test
     real("tolerance_margin", "1 minus the larger of the two errors over its tolerance; negative is off target"),
 ), since="2.3.0")
 
-PLANNER_COSTS = TableSchema("planner_costs", "what planning a candidate took when it was labelled: the planning stage of `timings`, small enough to ship", ("candidate_id",), (
+PLANNER_COSTS = TableSchema("planner_costs", "what planning a candidate took, when it was labelled or once more: the planning stage of `timings`, small enough to ship", ("candidate_id",), (
     _CANDIDATE_ID, single("core_ms", "CPU time of the planner", "ms"),
 ), since="2.4.0")
 

@@ -34,6 +34,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
     benchmark = small_benchmark(folder)
     write_objects(benchmark)
     results = [run(stage_assets, SHARD, benchmark), run(release_assets, TIER, benchmark)]
+    for result in results:
+        assert result.success, [str(e.step_failure_data.error) for e in result.all_events if e.is_step_failure]
     write_made_up_tables(benchmark.root)
     checks = {f"{e.asset_key.to_user_string()}.{e.check_name}": e.passed for r in results for e in r.get_asset_check_evaluations()}
     return Built(folder, checks)
