@@ -6,6 +6,7 @@ Nothing is selected: the settings are fixed and no validation scene is read. The
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -83,12 +84,22 @@ class TreeData:
 
 
 @dataclass(frozen=True, slots=True)
+class ConstantHead:
+    """A head whose candidates were all of one kind, as in a small dataset of easy objects: nothing separates them, so all are alike."""
+
+    log_odds: float
+
+    def decision_function(self, geometry: Float[np.ndarray, "c f"]) -> Float[np.ndarray, "c"]:
+        return np.full(len(geometry), self.log_odds)
+
+
+@dataclass(frozen=True, slots=True)
 class Trees:
     """Two trained heads."""
 
     variant: TreeVariant
-    plan: HistGradientBoostingClassifier
-    execution: HistGradientBoostingClassifier
+    plan: HistGradientBoostingClassifier | ConstantHead
+    execution: HistGradientBoostingClassifier | ConstantHead
 
     def log_probabilities(self, geometry: Float[np.ndarray, "c f"]) -> Float[np.ndarray, "2 c"]:
         """Log P(plan) and log P(exec | plan), finite where a probability underflows."""
@@ -115,14 +126,15 @@ def fit_trees(
 
     Raises:
         SettingsError: a seed outside 32 bits.
-        TrainingError: a head that would see only one kind of candidate.
     """
     check_seed(seed)
-    heads = []
-    for head, rows, truth in (("plan", np.ones(len(geometry), dtype=bool), labels.y_plan), ("exec", labels.y_plan, labels.y_pipe)):
-        n_true = int(truth[rows].sum())
-        if n_true in (0, int(rows.sum())):
-            raise TrainingError(f"trees: {n_true} of {int(rows.sum())} candidates of the {head} head are true, must be some and not all")
+    heads: list[HistGradientBoostingClassifier | ConstantHead] = []
+    for rows, truth in ((np.ones(len(geometry), dtype=bool), labels.y_plan), (labels.y_plan, labels.y_pipe)):
+        n_true, n = int(truth[rows].sum()), int(rows.sum())
+        if n_true in (0, n):
+            # Laplace's rule of succession: never certain, less so the fewer were seen.
+            heads.append(ConstantHead(math.log((n_true + 1) / (n - n_true + 1))))
+            continue
         options = asdict(settings or TreeSettings())
         # Sums of several threads come in any order; seeds of scikit-learn are not negative.
         model = HistGradientBoostingClassifier(random_state=seed % 2**32, early_stopping=False, **options)

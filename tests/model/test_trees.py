@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 import pytest
 from threadpoolctl import threadpool_limits
 
-from model.errors import SettingsError, TrainingError
+from model.errors import SettingsError
 from model.inputs import InputReader, scenes_of_split
 from model.labels import Labels
 from model.trees import TreeData, TreeSettings, TreeVariant, cross_validated_predictions, fit_trees, read_tree_data, split_predictions
@@ -89,13 +89,19 @@ def test_raw_poses_see_raw_poses_alone(tree_release: Path, data: TreeData) -> No
     assert not derived[0].equals(derived[1])
 
 
-def test_what_cannot_be_trained_is_refused(data: TreeData) -> None:
+def test_a_head_that_saw_one_kind_alone_holds_all_candidates_for_alike(data: TreeData) -> None:
+    """Laplace's rule of succession: (true + 1) / (all + 2)."""
+    n, n_planned = len(data.geometry), int(data.labels.y_plan.sum())
     all_true = Labels(np.ones_like(data.labels.y_plan), data.labels.y_pipe)
-    n = len(data.geometry)
-    with pytest.raises(TrainingError, match=rf"trees: {n} of {n} candidates of the plan head are true"):
-        fit_trees(data.geometry, all_true, TreeVariant.POSES, 42)
-    with pytest.raises(TrainingError, match=r"trees: 0 of \d+ candidates of the exec head are true"):
-        fit_trees(data.geometry, Labels(data.labels.y_plan, np.zeros_like(data.labels.y_pipe)), TreeVariant.POSES, 42)
+    plan, _ = fit_trees(data.geometry, all_true, TreeVariant.POSES, 42).log_probabilities(data.geometry)
+    assert plan == pytest.approx(np.log((n + 1) / (n + 2)))
+    none_true = Labels(data.labels.y_plan, np.zeros_like(data.labels.y_pipe))
+    plan, execution = fit_trees(data.geometry, none_true, TreeVariant.POSES, 42).log_probabilities(data.geometry)
+    assert execution == pytest.approx(np.log(1 / (n_planned + 2)))
+    assert len(set(plan.tolist())) > 1, "the other head is trained all the same"
+
+
+def test_what_cannot_be_trained_is_refused(data: TreeData) -> None:
     with pytest.raises(SettingsError, match="seed: 2147483648"):
         fit_trees(data.geometry, data.labels, TreeVariant.POSES, 2**31)
     for n_folds in (1, 11):
