@@ -255,7 +255,14 @@ KINDS = {
             by_split=True,
         ),
         Kind("learning_curve", (*_RANKED, "learning_curve"), _learning_curve),
-        Kind("ablation", (*_RANKED, "predictions"), _ablation, shown_parts={"predictions": tuple(VARIANTS)}, by_split=True),
+        Kind(
+            "ablation",
+            (*_RANKED, "predictions"),
+            _ablation,
+            parts={"predictions": ("full",)},
+            shown_parts={"predictions": tuple(VARIANTS)},
+            by_split=True,
+        ),
         Kind(
             "trees_probe",
             (*_RANKED, "tree_predictions"),
