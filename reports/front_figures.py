@@ -31,7 +31,7 @@ _ABOUT = {
 _TRUST = (
     "Every draw is seeded by its id, every budget is a count,\n"
     "every table is checked against its law before the next\n"
-    "stage reads it: the same bits on any machine."
+    "stage reads it: the same bits every time."
 )
 _RANKERS = "five inputs, known before planning:\nPointNet++, local, trees, yours"
 

@@ -81,8 +81,8 @@ def test_every_asset_has_owner_and_tags() -> None:
     [
         ("grasp_pool", None, "objects"),
         ("scenes", "mini-000", "mini"),
-        ("execution_labels", shards_of_tier("pilot")[-1], "pilot"),
-        ("execution_labels", shards_of_tier("full")[-1], "full"),
+        ("execution_labels", INTERLEAVED.shards_of_tier("pilot")[-1], "pilot"),
+        ("execution_labels", INTERLEAVED.shards_of_tier("full")[-1], "full"),
         ("splits", "mini", "release"),
         ("ranker", "mini.full.42", "rankers"),
         ("predictions", "full", "reports"),
