@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from assets_def.partitions import RankerKey
-from assets_def.ranker_training import INTERRUPTED, folder_name, settings_of, train_all
+from assets_def.ranker_training import exit_code_of, folder_name, settings_of, train_all
 from assets_def.rankers import Place, keys_of, make_whole
 from assets_def.resources import Benchmark
 from model.checkpoint import identity_of, is_checkpoint_of
@@ -29,7 +29,6 @@ from model.settings import Variant
 from pipelines.running.lock import locked
 from reports.learning_curve import learning_curve_table
 from splits.release_reader import Release
-from tables.errors import PlaceBenchError
 from tables.identity import TIERS
 from tables.schemas import LEARNING_CURVE
 from tables.sidecar import read_sidecar
@@ -101,16 +100,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--scenes", nargs="+", type=int, default=SIZES, metavar="N", help="training scenes, beside all of them")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="trainings side by side, one thread each")
     chosen = parser.parse_args(arguments)
-    try:
+
+    def work() -> None:
         keys = list({key.variant: key for key in reversed(keys_of(chosen.tier, SplitScheme.SCENE, chosen.only))}.values())
         make_learning_curve(Place.of(Benchmark(), chosen.tier, SplitScheme.SCENE), keys, sorted(chosen.scenes), chosen.workers)
-    except PlaceBenchError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("interrupted; finished epochs are kept, the same command continues there", file=sys.stderr)
-        return INTERRUPTED
-    return 0
+
+    return exit_code_of(work)
 
 
 if __name__ == "__main__":

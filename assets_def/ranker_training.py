@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -26,6 +27,19 @@ SHIPPED = REPOSITORY / "model" / "checkpoints"
 
 class RankersError(PlaceBenchError, RuntimeError):
     """Rankers that could not be trained, or a choice that names none."""
+
+
+def exit_code_of(work: Callable[[], object]) -> int:
+    """What a command that trains returns: 0, 1 with one line where it could not, 130 where it was interrupted."""
+    try:
+        work()
+    except PlaceBenchError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("interrupted; finished epochs are kept, the same command continues there", file=sys.stderr)
+        return INTERRUPTED
+    return 0
 
 
 def settings_of(key: RankerKey, n_train_scenes: int = 0) -> TrainingSettings:

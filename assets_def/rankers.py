@@ -23,7 +23,7 @@ import pyarrow.compute as pc
 
 from assets_def.partitions import RankerKey, rankers_of_tier
 from assets_def.ranker_assets import MODEL_CODE_VERSION
-from assets_def.ranker_training import INTERRUPTED, SHIPPED, RankersError, folder_name, settings_of, train_all
+from assets_def.ranker_training import SHIPPED, RankersError, exit_code_of, folder_name, settings_of, train_all
 from assets_def.resources import Benchmark
 from assets_def.trees_assets import TREE_PREDICTIONS, TREES_CODE_VERSION, TREES_SEED
 from model.checkpoint import identity_of, is_checkpoint_of, weights_sha256
@@ -36,7 +36,6 @@ from reports.sources import folder_beside
 from reports.trees_probe import tree_predictions
 from splits.rebuild import rebuild
 from splits.release_reader import Release
-from tables.errors import PlaceBenchError
 from tables.identity import TIERS, parse_candidate_id
 from tables.schemas import PREDICTIONS
 from tables.sidecar import Sidecar, find_published, read_sidecar
@@ -60,16 +59,19 @@ class Place:
     @classmethod
     def of(cls, benchmark: Benchmark, tier: str, scheme: SplitScheme) -> Place:
         release_dir, root = benchmark.root.release(tier), benchmark.root
-        below = () if scheme is SplitScheme.SCENE else (scheme.value,)
-        trained = root.checkpoint(tier, Variant.FULL.value, 0).parent.joinpath(*below)
+        trained = root.checkpoint(tier, Variant.FULL.value, 0).parent.joinpath(*_below(scheme))
         return cls(release_dir, tier, scheme, trained, folder_beside(release_dir, tier, scheme))
 
     def checkpoint(self, key: RankerKey) -> Path | None:
         """The folder of a trained ranker, shipped or trained here; None where there is none of today's settings and release."""
         identity = identity_of(self.release_dir, key.variant, key.seed, settings_of(key), self.scheme)
-        below = () if self.scheme is SplitScheme.SCENE else (self.scheme.value,)
-        folders = (SHIPPED.joinpath(self.tier, *below, folder_name(key)), self.trained / folder_name(key))
+        folders = (SHIPPED.joinpath(self.tier, *_below(self.scheme), folder_name(key)), self.trained / folder_name(key))
         return next((folder for folder in folders if is_checkpoint_of(folder, identity)), None)
+
+
+def _below(scheme: SplitScheme) -> tuple[str, ...]:
+    """Folders between those of a tier and those of its rankers under a scheme."""
+    return () if scheme is SplitScheme.SCENE else (scheme.value,)
 
 
 def keys_of(tier: str, scheme: SplitScheme, only: Sequence[str] = ()) -> tuple[RankerKey, ...]:
@@ -84,10 +86,10 @@ def keys_of(tier: str, scheme: SplitScheme, only: Sequence[str] = ()) -> tuple[R
     keys = rankers_of_tier(tier)
     if scheme is not SplitScheme.SCENE:
         keys = tuple(key for key in keys if key.variant is Variant.LOCAL)[:1]
-    names = {name: key for key in keys for name in (f"{key.variant.value}.{key.seed}", key.variant.value)}
+    names = {name: key for key in keys for name in (_short(key), key.variant.value)}
     if strange := [name for name in only if name not in names]:
         raise RankersError(f"{strange[0]}: no ranker of {tier} under split {scheme.value}, must be one of {', '.join(names)}")
-    return tuple(key for key in keys if not only or {f"{key.variant.value}.{key.seed}", key.variant.value} & set(only))
+    return tuple(key for key in keys if not only or {_short(key), key.variant.value} & set(only))
 
 
 def make_rankers(place: Place, keys: Sequence[RankerKey], n_workers: int, log: Callable[[str], Any] = print) -> None:
@@ -170,7 +172,12 @@ def _of_release(place: Place) -> dict[str, str]:
 
 
 def _recorded(key: RankerKey) -> str:
-    return f"ranker.{key.variant.value}.{key.seed}"
+    return f"ranker.{_short(key)}"
+
+
+def _short(key: RankerKey) -> str:
+    """`local.42`: a ranker among those of a tier."""
+    return f"{key.variant.value}.{key.seed}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -182,17 +189,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--split", default=SplitScheme.SCENE.value, help=f"one of {', '.join(scheme.value for scheme in SplitScheme)}")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="trainings side by side, one thread each")
     chosen = parser.parse_args(arguments)
-    try:
+
+    def work() -> None:
         scheme = scheme_named(chosen.split)
         keys = keys_of(chosen.tier, scheme, chosen.only)
         make_rankers(Place.of(Benchmark(), chosen.tier, scheme), keys, chosen.workers)
-    except PlaceBenchError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("interrupted; finished epochs are kept, the same command continues there", file=sys.stderr)
-        return INTERRUPTED
-    return 0
+
+    return exit_code_of(work)
 
 
 if __name__ == "__main__":

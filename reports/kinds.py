@@ -156,14 +156,14 @@ def _decision_times(sources: Sources) -> tuple[pa.Table | None, str]:
     return (join_tables(TIMINGS, [sources.table(name) for name in there]) if there else None), " and ".join(machines)
 
 
-def _of_learned(make: Callable[..., Report], *needed: Split) -> Callable[[Sources], Report]:
-    """A report on the learned policies alone, made of what they predict."""
+def _of_learned(name: str, make: Callable[..., Report]) -> Kind:
+    """A report on the learned policies alone, made of what they predict of validation and test."""
 
     def made(sources: Sources) -> Report:
-        tables, predictions = _judged(sources, *needed), _all_predictions(sources)
+        tables, predictions = _judged(sources, Split.VALIDATION, Split.TEST), _all_predictions(sources)
         return make(tables, predictions, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
 
-    return made
+    return Kind(name, _LEARNED, made, ("tree_predictions",), shown_parts={"predictions": _VARIANTS}, by_split=True)
 
 
 def _ablation(sources: Sources) -> Report:
@@ -222,30 +222,9 @@ KINDS = {
             shown_parts={"predictions": _VARIANTS, "decision_times": tuple(Task)},
             by_split=True,
         ),
-        Kind(
-            "seed_robustness",
-            _LEARNED,
-            _of_learned(seed_robustness_report, Split.VALIDATION, Split.TEST),
-            ("tree_predictions",),
-            shown_parts={"predictions": _VARIANTS},
-            by_split=True,
-        ),
-        Kind(
-            "solvability",
-            _LEARNED,
-            _of_learned(solvability_report, Split.VALIDATION, Split.TEST),
-            ("tree_predictions",),
-            shown_parts={"predictions": _VARIANTS},
-            by_split=True,
-        ),
-        Kind(
-            "calibration",
-            _LEARNED,
-            _of_learned(calibration_report, Split.VALIDATION, Split.TEST),
-            ("tree_predictions",),
-            shown_parts={"predictions": _VARIANTS},
-            by_split=True,
-        ),
+        _of_learned("seed_robustness", seed_robustness_report),
+        _of_learned("solvability", solvability_report),
+        _of_learned("calibration", calibration_report),
         Kind(
             "errors",
             _LEARNED,

@@ -13,7 +13,6 @@ from typing import Any
 import polars as pl
 import pyarrow as pa
 
-from pipelines.frames import frame_of
 from pipelines.recipe import DEFAULT_RECIPE, load_recipe
 from pipelines.running.data_root import DataRoot
 from pipelines.running.shard_runner import read_timings
@@ -66,5 +65,4 @@ def candidates_of(release: Release, split: Split) -> pa.Table:
 
 
 def _scenes_of(release: Release, split: Split) -> set[str]:
-    splits = frame_of(release.table("splits"), ["scene_id", "split"])
-    return set(splits.filter(pl.col("split").cast(pl.String) == split.value)["scene_id"].to_list())
+    return set(release.candidates.filter(pl.col("split") == split.value)["scene_id"])
