@@ -29,12 +29,13 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from assets_def.curve_assets import curve_step
 from assets_def.definitions import definitions_of
 from assets_def.jobs import job_of
 from assets_def.object_assets import are_objects_done, object_assets
 from assets_def.partitions import rankers_of_tier
 from assets_def.progress import ShardProgress
-from assets_def.proof_assets import attempts_step, audits_step
+from assets_def.proof_assets import attempts_step, audits_step, replicates_step
 from assets_def.ranker_assets import predictions_step, ranker_step
 from assets_def.release_assets import release_step, release_steps
 from assets_def.report_assets import profile_step, report_steps
@@ -107,7 +108,8 @@ def _steps(tier: str, until: str) -> Iterator[tuple[Step, str, str]]:
     yield attempts_step, tier, attempts_step.name
     yield release_step, tier, "release with attempts"
     yield from ((ranker_step, str(key), f"ranker {key}") for key in rankers_of_tier(tier))
-    yield from ((step, tier, step.name) for step in (predictions_step, trees_step, audits_step, *report_steps, site_step))
+    about = (predictions_step, trees_step, curve_step, audits_step, replicates_step, *report_steps, site_step)
+    yield from ((step, tier, step.name) for step in about)
 
 
 def _build_shards(tier: str, benchmark: Benchmark) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dagster import Definitions, in_process_executor
 
+from assets_def.curve_assets import curve_assets
 from assets_def.jobs import jobs
 from assets_def.object_assets import object_assets
 from assets_def.ownership import owned
@@ -29,6 +30,7 @@ _ASSETS = tuple(
         *release_assets,
         *ranker_assets,
         *trees_assets,
+        *curve_assets,
         *proof_assets,
         *report_assets,
         sample_films,

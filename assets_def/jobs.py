@@ -20,7 +20,7 @@ OBJECTS_AND_SHARDS = AssetSelection.groups("objects", *dict.fromkeys(stage.group
 RELEASE = AssetSelection.groups("release")
 RANKERS = AssetSelection.assets("ranker")
 REPORTS = AssetSelection.groups("reports") | AssetSelection.assets(
-    "predictions", "decision_times", "candidate_geometry", "tree_predictions", "tree_decision_times"
+    "predictions", "decision_times", "candidate_geometry", "tree_predictions", "tree_decision_times", "learning_curve"
 )
 
 _SHARDS_OF = SHARDS_OF_TIER
@@ -53,8 +53,8 @@ jobs = [
     define_asset_job(
         "reports",
         selection=REPORTS,
-        description="Predictions, trees, repeats, audits and every report of a tier. Launch with a partition mini, pilot or full, after its"
-        " release and its rankers; without rankers only what reads predictions fails.",
+        description="Predictions, trees, learning curve, repeats, replicates, audits and every report of a tier. Launch with a partition"
+        " mini, pilot or full, after its release and its rankers; without rankers only what reads predictions fails.",
     ),
 ]
 

@@ -15,11 +15,15 @@ from assets_def.steps import Step
 from pipelines.proofs.audit.params import AuditParams
 from pipelines.proofs.audits import N_BUDGET, audit_items, audit_rows, choose_audited
 from pipelines.proofs.repeats import Repeat, attempt_rows, choose_perturbed
+from pipelines.proofs.replicates import CODE_VERSION as REPLICATE_CODE_VERSION
+from pipelines.proofs.replicates import N_REPLICATES
 from pipelines.recipe import Recipe
 from pipelines.stages import STAGE
 from reports.repeatability import N_REPEATS, N_TASKS_REPEATED, choose_tasks
+from splits.manifest import read_manifest
 from splits.release_reader import Release
-from tables.schemas import ATTEMPTS, AUDITS, OBJECT_TABLES
+from splits.replicates import execute_replicates, kept_beside, replicates_made_from
+from tables.schemas import ATTEMPTS, AUDITS, OBJECT_TABLES, TEST_REPLICATES
 from tables.store import table_from_rows
 from tables.vocabulary import Perturbation
 
@@ -27,6 +31,8 @@ from tables.vocabulary import Perturbation
 PROOF_CODE_VERSION = "1"
 # Executed candidates repeated under each perturbation.
 N_PERTURBED = {"mini": 24, "pilot": 300, "full": 500}  # 501 of full: as many of each category
+# Executions of each planned candidate of the test split under small real uncertainty.
+N_REPLICATED = {"mini": 2, "pilot": N_REPLICATES, "full": N_REPLICATES}
 # Solved paths rechecked, and rejections judged again for each reason.
 N_AUDITED = {"mini": (20, 3), "pilot": (500, 50), "full": (500, 50)}
 # What candidates are decoded from, with their labels and plans.
@@ -125,6 +131,46 @@ def _audits_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult
     yield schema_check(AUDITS, benchmark.root.tier_table(tier, "audits"))
 
 
+@multi_asset(
+    name="replicate_executions",
+    specs=[
+        AssetSpec(
+            TEST_REPLICATES.name,
+            deps=["release"],
+            description="Executes every planned candidate of the test split again under small real uncertainty, for the ceiling report."
+            f" Rows: {TEST_REPLICATES.meaning}.",
+            group_name="reports",
+            code_version=REPLICATE_CODE_VERSION,
+            kinds={"parquet"},
+        )
+    ],
+    check_specs=[schema_check_spec(TEST_REPLICATES)],
+    partitions_def=tier_partitions,
+)
+def test_replicates(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
+    tier = context.partition_key
+    (product,) = _replicates_products(benchmark, tier)
+    kept = kept_beside(product.path)
+
+    def execute() -> pa.Table:
+        release = Release.open(benchmark.root.release(tier))
+        return execute_replicates(release, kept, benchmark.n_workers, N_REPLICATED[tier], benchmark.recipe_file, context.log.info)
+
+    yield from product.publish(execute)
+    kept.unlink(missing_ok=True)
+    yield from _replicates_checks(benchmark, tier)
+
+
+def _replicates_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct]:
+    manifest = read_manifest(benchmark.root.release(tier))
+    made_from = replicates_made_from(manifest, benchmark.recipe_of_tier(tier), N_REPLICATED[tier])
+    return (TableProduct(TEST_REPLICATES, benchmark.root.tier_table(tier, TEST_REPLICATES.name), made_from, tier),)
+
+
+def _replicates_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult]:
+    yield schema_check(TEST_REPLICATES, benchmark.root.tier_table(tier, TEST_REPLICATES.name))
+
+
 def _made_from(benchmark: Benchmark, tier: str, parameters: Mapping[str, float]) -> dict[str, str]:
     return {
         "code": PROOF_CODE_VERSION,
@@ -135,7 +181,8 @@ def _made_from(benchmark: Benchmark, tier: str, parameters: Mapping[str, float])
     }
 
 
-proof_assets = [attempts, audits]
+proof_assets = [attempts, audits, test_replicates]
 attempts_step = Step("attempts", attempts, _attempts_products, _attempts_checks)
 audits_step = Step("audits", audits, _audits_products, _audits_checks)
+replicates_step = Step("replicates of the test split", test_replicates, _replicates_products, _replicates_checks)
 proof_steps = (attempts_step, audits_step)

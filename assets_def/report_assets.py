@@ -138,6 +138,13 @@ REPORTS = (
         _SCORES,
         parameters=N_FILMS,
     ),
+    ReportKind("learning_curve", "S1 by the number of scenes that rankers were trained on.", _made("learning_curve"), ("learning_curve",)),
+    ReportKind(
+        "ceiling",
+        "How far S1 can go when labels flip, and what first choices are worth under small uncertainty.",
+        _made("ceiling"),
+        ("test_replicates", *_SCORES),
+    ),
     ReportKind("ablation", "The ranker and three ablations on the validation split.", _made("ablation"), ("predictions",)),
     ReportKind(
         "trees_probe",

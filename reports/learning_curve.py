@@ -1,16 +1,11 @@
 """Report of the learning curve: S1 on the validation split by the number of scenes that a ranker was trained on.
 
-Its table `learning_curve` is gathered from files of predictions, each of a ranker that was trained on some scenes of the train split:
-
-`python -m reports.learning_curve data/release/full --add 46 scores_46.parquet --add 92 scores_92.parquet ... --out learning_curve.parquet`
+Its table `learning_curve` holds predictions of rankers that were trained on some scenes of the train split; `make curve` trains them.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -26,10 +21,8 @@ from reports.ranking import KS, TASK_TITLE, timing_frame
 from reports.report import Report, ReportError
 from reports.resampling import Draws, SceneBootstrap
 from splits.markdown import table
-from splits.release_reader import Release
-from tables.errors import PlaceBenchError
 from tables.schemas import LEARNING_CURVE, PREDICTIONS
-from tables.store import join_tables, read_table, table_from_columns, write_table
+from tables.store import join_tables, table_from_columns
 from tables.vocabulary import Split
 
 _LEVELS = (FULL_PLANNER, IK_AND_GRIPPER)
@@ -184,37 +177,3 @@ def _doubling(
         metrics |= flat(f"{prefix}.{variant}.s1_of_twice_the_scenes", slope.estimate()) if bootstrap.is_telling else {}
         lines.append(f"- {label}: {shown} points of S1 for twice the scenes (least squares over all sizes).")
     return ["\n".join(lines)] if lines else [], metrics
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line: 0, or 1 with one line on standard error."""
-    parser = argparse.ArgumentParser(prog="python -m reports.learning_curve", description="Gather table learning_curve.")
-    parser.add_argument("release", type=Path, help="folder of the release that the rankers were trained on")
-    parser.add_argument(
-        "--add",
-        nargs=2,
-        action="append",
-        required=True,
-        metavar=("SCENES", "FILE"),
-        help="training scenes, and predictions of model.scoring",
-    )
-    parser.add_argument("--out", type=Path, required=True, help="Parquet file to write")
-    chosen = parser.parse_args(arguments)
-    try:
-        release = Release.open(chosen.release)
-        predictions: dict[int, list[pa.Table]] = {}
-        for scenes, path in chosen.add:
-            if not scenes.isdigit():
-                raise ReportError(f"--add {scenes}: must be a number of scenes")
-            predictions.setdefault(int(scenes), []).append(read_table(PREDICTIONS, Path(path), verify=True))
-        made = learning_curve_table(predictions, release.table("candidates"), release.table("splits"))
-        write_table(LEARNING_CURVE, made, chosen.out, {"release": release.manifest.release_hash}, of=release.manifest.tier)
-    except PlaceBenchError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(f"{chosen.out}: {made.num_rows:,} rows, {chosen.out.stat().st_size / 1e6:.1f} MB")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -16,13 +16,15 @@ from pathlib import Path
 from typing import Any
 
 import polars as pl
+import pyarrow as pa
 
 from pipelines.proofs.replicates import CODE_VERSION, N_REPLICATES, replicate_table, works_of
-from pipelines.recipe import DEFAULT_RECIPE, load_recipe
+from pipelines.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from pipelines.running.data_root import DataRoot
 from pipelines.running.lock import locked
 from pipelines.stages import STAGE
 from splits.errors import ReleaseError
+from splits.manifest import Manifest
 from splits.release_reader import Release
 from tables.errors import PlaceBenchError
 from tables.identity import family_of_tier
@@ -43,10 +45,37 @@ def make_replicates(
     recipe_path: Path = DEFAULT_RECIPE,
     log: Callable[[str], Any] = print,
 ) -> Sidecar:
-    """Publish table `test_replicates` of a release, or keep the one that is there and was made from the same.
+    """Publish table `test_replicates` of a release at a path, or keep the one that is there and was made from the same.
+
+    Raises:
+        ReleaseError, ReplicateError: as `execute_replicates`.
+        LockError: somebody else makes this table.
+    """
+    made_from = replicates_made_from(release.manifest, recipe_of(release, recipe_path), n_replicates)
+    found = find_published(TEST_REPLICATES, path, made_from, release.manifest.tier)
+    if isinstance(found, Sidecar):
+        log(f"{TABLE}: there already, {found.rows:,} rows")
+        return found
+    with locked(path.with_name(f".{path.name}.lock"), f"{TABLE} of {release.manifest.tier}"):
+        table = execute_replicates(release, kept_beside(path), n_workers, n_replicates, recipe_path, log)
+        sidecar = write_table(TEST_REPLICATES, table, path, made_from, of=release.manifest.tier)
+        kept_beside(path).unlink()
+    log(f"{TABLE}: {sidecar.rows:,} rows, content hash {sidecar.content_hash[:12]}, {path}")
+    return sidecar
+
+
+def execute_replicates(
+    release: Release,
+    kept: Path,
+    n_workers: int = 1,
+    n_replicates: int = N_REPLICATES,
+    recipe_path: Path = DEFAULT_RECIPE,
+    log: Callable[[str], Any] = print,
+) -> pa.Table:
+    """Table `test_replicates` of a release.
 
     Args:
-        path: of the table.
+        kept: file of the finished scenes; whoever has published the table removes it.
         n_workers: worker processes; 0 stays in this process. The table does not depend on it.
         n_replicates: executions of each candidate.
         recipe_path: the recipe that the release was made with.
@@ -55,39 +84,42 @@ def make_replicates(
     Raises:
         ReleaseError: a release of another recipe, or without plans.
         ReplicateError: a scene that could not be executed; the others are kept for the next run.
-        LockError: somebody else makes this table.
     """
-    tier, recipe = release.manifest.tier, load_recipe(family_of_tier(release.manifest.tier), recipe_path)
-    stated = release.manifest.provenance["recipe_hash"]
-    if recipe.hash_of() != stated:
-        raise ReleaseError(f"{release.directory}: of recipe {stated[:12]}, must be this code's {recipe.hash_of()[:12]}")
-    stage = STAGE["execution_labels"]
-    made_from = {
-        "release": release.manifest.release_hash,
-        "recipe": recipe.hash_of(),
-        "code": CODE_VERSION,
-        f"code.{stage.name}": stage.code_version,
-        "parameter.replicates": str(n_replicates),
-        **{f"engine.{name}": version for name, version in library_versions(stage.engines).items()},
-    }
-    found = find_published(TEST_REPLICATES, path, made_from, tier)
-    if isinstance(found, Sidecar):
-        log(f"{TABLE}: there already, {found.rows:,} rows")
-        return found
+    recipe = recipe_of(release, recipe_path)
     of_test = release.candidates.filter(pl.col("y_plan") & (pl.col("split") == Split.TEST.value))
     start_s = time.perf_counter()
 
     def tell(done: int, total: int, core_s: float) -> None:
         log(f"{TABLE}: {done} of {total} scenes, {core_s:.0f} core-s, {time.perf_counter() - start_s:.0f} s")
 
-    kept = path.with_name(f".{TABLE}.unfinished.jsonl")
-    with locked(path.with_name(f".{path.name}.lock"), f"{TABLE} of {tier}"):
-        works = works_of(release.values, of_test["candidate_id"].to_list(), recipe, n_replicates)
-        table = replicate_table(works, kept, made_from, n_workers, tell)
-        sidecar = write_table(TEST_REPLICATES, table, path, made_from, of=tier)
-        kept.unlink()
-    log(f"{TABLE}: {sidecar.rows:,} rows, content hash {sidecar.content_hash[:12]}, {path}")
-    return sidecar
+    works = works_of(release.values, of_test["candidate_id"].to_list(), recipe, n_replicates)
+    return replicate_table(works, kept, replicates_made_from(release.manifest, recipe, n_replicates), n_workers, tell)
+
+
+def kept_beside(path: Path) -> Path:
+    """The file of finished scenes of a table that is being made."""
+    return path.with_name(f".{TABLE}.unfinished.jsonl")
+
+
+def recipe_of(release: Release, path: Path) -> Recipe:
+    """The recipe of a file, if the release was made with it; raises ReleaseError where it was not."""
+    recipe, stated = load_recipe(family_of_tier(release.manifest.tier), path), release.manifest.provenance["recipe_hash"]
+    if recipe.hash_of() != stated:
+        raise ReleaseError(f"{release.directory}: of recipe {stated[:12]}, must be this code's {recipe.hash_of()[:12]}")
+    return recipe
+
+
+def replicates_made_from(manifest: Manifest, recipe: Recipe, n_replicates: int) -> dict[str, str]:
+    """What decides the rows of `test_replicates` of a release."""
+    stage = STAGE["execution_labels"]
+    return {
+        "release": manifest.release_hash,
+        "recipe": recipe.hash_of(),
+        "code": CODE_VERSION,
+        f"code.{stage.name}": stage.code_version,
+        "parameter.replicates": str(n_replicates),
+        **{f"engine.{name}": version for name, version in library_versions(stage.engines).items()},
+    }
 
 
 def default_path(directory: Path, tier: str) -> Path:

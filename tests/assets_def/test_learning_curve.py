@@ -8,13 +8,15 @@ from pathlib import Path
 import pytest
 
 from assets_def import rankers
-from assets_def.learning_curve import make_learning_curve
+from assets_def.learning_curve import curve_of, curve_table, made_from, make_learning_curve
 from assets_def.partitions import RankerKey
+from assets_def.ranker_training import RankersError
 from assets_def.rankers import Place, make_rankers
 from model import networks
 from model.settings import Variant
 from tables.identity import parse_candidate_id
 from tables.schemas import LEARNING_CURVE
+from tables.sidecar import Sidecar, find_published
 from tables.store import read_table
 from tests.assets_def.test_rankers import TIER, released
 from tests.model.conftest import TINY_LOCAL
@@ -39,6 +41,18 @@ def test_sizes_are_trained_once_and_other_trainings_stay(place: Place) -> None:
     make_learning_curve(place, [LOCAL, POSES], [3], 0, lines.append)
     assert lines[0] == "3 scenes: 1 of 2 trained"
     assert trainings(place) == {("local", 1): 42, ("local", 3): 42, ("pose_only", 3): 42, ("local", 6): 42}
+
+
+def test_the_table_of_the_asset_is_that_of_the_command(place: Place) -> None:
+    curve = curve_of(place, [LOCAL])
+    assert [ranker.n for ranker in curve] == [1, 3, 6]  # a quarter and a half of six, and all
+    with pytest.raises(RankersError, match="local-42 of 6 scenes is not trained, must be: make rankers ONLY=local"):
+        curve_table(curve, 0, lambda text: None)
+    make_rankers(place, [LOCAL], 0, lambda text: None)
+    make_learning_curve(place, [LOCAL], (), 0, lambda text: None)
+    path = place.beside / "learning_curve.parquet"
+    assert isinstance(find_published(LEARNING_CURVE, path, made_from(curve), TIER), Sidecar)
+    assert read_table(LEARNING_CURVE, path, verify=True).equals(curve_table(curve, 0, lambda text: None))
 
 
 def trainings(place: Place) -> dict[tuple[str, int], int]:

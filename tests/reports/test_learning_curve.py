@@ -1,18 +1,13 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import pyarrow as pa
 import pytest
 
-from reports.learning_curve import learning_curve_report, learning_curve_table, main
+from reports.learning_curve import learning_curve_report, learning_curve_table
 from reports.report import ReportError
 from reports.success_at_k import success_at_k_report
-from splits.release import write_release
 from tables import schemas
-from tables.store import read_table, table_from_rows, write_table
-from tests.model.synthetic_release import TOLERANCES
-from tests.splits.damage import PROVENANCE
+from tables.store import table_from_rows
 
 
 def of(predictions: pa.Table, variant: str, seed: int | None = None) -> pa.Table:
@@ -75,19 +70,3 @@ def test_sizes_that_cannot_be_and_lost_candidates_are_refused(curve: pa.Table, r
         learning_curve_report(release_tables, curve.slice(0, 0), tier="pilot", seed=42)
     with pytest.raises(ReportError, match="has none"):
         learning_curve_report(release_tables, curve.slice(1), tier="pilot", seed=42)
-
-
-def test_the_command_gathers_files(
-    release_tables: dict[str, pa.Table], predictions: pa.Table, curve: pa.Table, tmp_path: Path, capsys
-) -> None:
-    write_release(release_tables, tmp_path / "full", "full", "0.1.0", PROVENANCE, TOLERANCES)
-    paths = {}
-    for variant in ("no_object_relative", "full"):
-        paths[variant] = str(tmp_path / f"{variant}.parquet")
-        write_table(schemas.PREDICTIONS, of(predictions, variant), Path(paths[variant]))
-    out = tmp_path / "learning_curve.parquet"
-    add = ["--add", "9", paths["no_object_relative"], "--add", "36", paths["full"]]
-    assert main([str(tmp_path / "full"), *add, "--out", str(out)]) == 0
-    assert read_table(schemas.LEARNING_CURVE, out, verify=True).equals(curve)
-    assert main([str(tmp_path / "full"), "--add", "few", paths["full"], "--out", str(out)]) == 1
-    assert capsys.readouterr().err == "error: --add few: must be a number of scenes\n"
