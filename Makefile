@@ -4,7 +4,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 INSTALLED := $(VENV)/.installed
 TIER ?= mini
-WORKERS ?= $(shell nproc)
+WORKERS ?= $(shell env -u OMP_NUM_THREADS nproc)
 # A dataset of your own: CATALOGUE=objects.toml, RECIPE=recipe.toml or both; DATA=folder (data/own/NAME, and data for the benchmark).
 OWN := $(or $(CATALOGUE),$(RECIPE))
 ROOT := $(or $(DATA),$(if $(OWN),data/own/$(basename $(notdir $(OWN))),data))
@@ -30,12 +30,8 @@ demo: $(INSTALLED)  ## the whole benchmark on tier mini, from objects to reports
 dataset: $(INSTALLED)  ## a tier's dataset and reports: only what is missing or outdated, resumable (TIER=mini|pilot|full; CATALOGUE, RECIPE, DATA)
 	$(PY) -m assets_def.build $(TIER) --workers $(WORKERS) $(DATASET)
 
-ui: export PLACEBENCH_CATALOGUE := $(abspath $(CATALOGUE))
-ui: export PLACEBENCH_RECIPE := $(abspath $(RECIPE))
-ui: export PLACEBENCH_DATA := $(if $(filter data,$(ROOT)),,$(abspath $(ROOT)))
 ui: $(INSTALLED)  ## the Dagster UI on this checkout, or on a dataset of your own (CATALOGUE, RECIPE, DATA)
-	$(if $(filter data,$(ROOT)),,mkdir -p $(DAGSTER_HOME) && cp .dagster_home/dagster.yaml $(DAGSTER_HOME))
-	$(VENV)/bin/dagster dev -m assets_def.definitions
+	$(PY) -m assets_def.ui $(DATASET)
 
 reports: $(INSTALLED)  ## every report from a release and the tables about it, nothing labelled or trained (TIER, or RELEASE=folder; SPLIT=scheme)
 	$(PY) -m reports.all $(RELEASE) $(if $(SPLIT),--split $(SPLIT)) $(OF_RECIPE) $(if $(REPORTS),--out $(REPORTS)$(if $(SPLIT),/$(SPLIT)))

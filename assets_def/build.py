@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import shutil
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -29,6 +28,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from assets_def.chosen_dataset import add_choice, environment_of
 from assets_def.curve_assets import curve_step
 from assets_def.definitions import definitions_of
 from assets_def.jobs import job_of
@@ -39,12 +39,11 @@ from assets_def.proof_assets import attempts_step, audits_step, replicates_step
 from assets_def.ranker_assets import predictions_step, ranker_step
 from assets_def.release_assets import release_step, release_steps
 from assets_def.report_assets import profile_step, report_steps
-from assets_def.resources import CATALOGUE_VARIABLE, DATA_VARIABLE, RECIPE_VARIABLE, REPOSITORY, Benchmark
+from assets_def.resources import Benchmark
 from assets_def.site_assets import site_step
 from assets_def.stages import stage_assets
 from assets_def.steps import Step
 from assets_def.trees_assets import trees_step
-from pipelines.running.dataset_record import check_dataset
 from pipelines.running.shard_runner import is_published
 from pipelines.stages import STAGES
 from reports.load import Task
@@ -218,9 +217,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         default="reports",
         help="release: the release folder and its profile report, nothing else; reports (default): rankers and every report too",
     )
-    parser.add_argument("--catalogue", type=Path, help="file of the objects (the benchmark's)")
-    parser.add_argument("--recipe", type=Path, help="file of the recipe (the benchmark's)")
-    parser.add_argument("--data", type=Path, help="data folder (data; with a catalogue or a recipe of one's own data/own/NAME)")
+    add_choice(parser)
     arguments = sys.argv[1:] if arguments is None else arguments
     chosen = parser.parse_args(arguments)
     try:
@@ -238,31 +235,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _start_over_where_own(chosen: argparse.Namespace, arguments: Sequence[str]) -> None:
-    """Run this command once more with the dataset that it names in its environment, where it is not there yet.
-
-    The partitions of the graph are the shards of one catalogue, made when the graph is loaded, which was before arguments were read.
-
-    Raises:
-        CatalogueError, DatasetError: as `check_dataset`.
-    """
-    given = {CATALOGUE_VARIABLE: chosen.catalogue, RECIPE_VARIABLE: chosen.recipe, DATA_VARIABLE: chosen.data}
-    named = {name: str(path.resolve()) for name, path in given.items() if path is not None}
-    if all(os.environ.get(name) == path for name, path in named.items()):
-        return
-    own = Benchmark()
-    benchmark = Benchmark(
-        catalogue_path=named.get(CATALOGUE_VARIABLE, own.catalogue_path),
-        recipe_path=named.get(RECIPE_VARIABLE, own.recipe_path),
-        data_dir=named.get(DATA_VARIABLE, own.data_dir),
-    )
-    check_dataset(benchmark.root, benchmark.catalogue)
-    benchmark.recipe("full")
-    home = benchmark.root.path / ".dagster_home"
-    home.mkdir(parents=True, exist_ok=True)
-    shutil.copy(REPOSITORY / ".dagster_home" / "dagster.yaml", home)
-    environment = {**os.environ, **named, "DAGSTER_HOME": str(home)}
-    sys.stdout.flush()
-    os.execve(sys.executable, [sys.executable, "-m", "assets_def.build", *arguments], environment)
+    """Run this command once more with the dataset that it names in its environment, unless it does; raises as `environment_of`."""
+    if environment := environment_of(chosen):
+        sys.stdout.flush()
+        os.execve(sys.executable, [sys.executable, "-m", "assets_def.build", *arguments], {**os.environ, **environment})
 
 
 def _say_error(message: str) -> None:

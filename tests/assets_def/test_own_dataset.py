@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import shutil
 from pathlib import Path
 
 import pytest
 
-from assets_def import build as command
+from assets_def import build, ui
 from assets_def.resources import REPOSITORY, Benchmark
 from objects.examples.make_meshes import make_meshes
 from pipelines.running.dataset_record import DatasetError, claim_dataset
@@ -118,13 +119,15 @@ def test_the_example_meshes_are_what_their_script_makes() -> None:
     ],
     ids=["no catalogue", "no recipe", "another dataset"],
 )
-def test_bad_arguments_end_in_one_line(
+def test_bad_arguments_of_build_and_ui_end_in_one_line(
     arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "full" / "shards").mkdir(parents=True)
-    assert command.main(["mini", *arguments]) == 1
+    assert build.main(["mini", *arguments]) == 1
     out, err = capsys.readouterr()
     (line,) = (out + err).splitlines()
     assert line.startswith(words.format(cwd=tmp_path))
+    with pytest.raises(SystemExit, match=re.escape(words.format(cwd=tmp_path))):
+        ui.main(arguments)
     assert not (tmp_path / "full" / ".dagster_home").exists(), "nothing is left in a folder that was refused"
