@@ -35,7 +35,7 @@ from tables.vocabulary import SplitScheme
 def learning_curve(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
     tier = context.partition_key
     (product,) = _products(benchmark, tier)
-    yield from product.publish(lambda: curve_table(_curve(benchmark, tier), benchmark.n_workers, context.log.info))
+    yield from product.publish(lambda: curve_table(_curve(benchmark, tier), benchmark.n_workers, context.log.info, tells_epochs=False))
     yield from _checks(benchmark, tier)
 
 

@@ -101,7 +101,7 @@ def made_from(curve: Sequence[SizedRanker]) -> dict[str, str]:
     return _of_release(curve[0].place) | dict(sorted(ranker.recorded for ranker in curve))
 
 
-def curve_table(curve: Sequence[SizedRanker], n_workers: int, log: Callable[[str], Any] = print) -> pa.Table:
+def curve_table(curve: Sequence[SizedRanker], n_workers: int, log: Callable[[str], Any] = print, tells_epochs: bool = True) -> pa.Table:
     """Train what is missing of a curve, size by size, and score the validation split with it.
 
     Rankers of all scenes are those of the tier, and must be there.
@@ -118,7 +118,8 @@ def curve_table(curve: Sequence[SizedRanker], n_workers: int, log: Callable[[str
             missing = [ranker.key for ranker in rankers if ranker.folder is None]
             log(f"{n} scenes: {len(rankers) - len(missing)} of {len(rankers)} trained")
             if missing:
-                train_all(place.release_dir, missing, place.scheme, SizedRanker.folder_of_size(place, n), n_workers, log, n_train_scenes=n)
+                out = SizedRanker.folder_of_size(place, n)
+                train_all(place.release_dir, missing, place.scheme, out, n_workers, log, n, tells_epochs)
     scored: dict[int, list[pa.Table]] = {}
     for ranker in curve:
         if ranker.folder is None:

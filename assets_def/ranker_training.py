@@ -65,17 +65,19 @@ def train_all(
     n_workers: int,
     log: Callable[[str], Any] = print,
     n_train_scenes: int = 0,
+    tells_epochs: bool = True,
 ) -> None:
     """Train rankers, each into a folder of its name below `out`, as many at once as there are workers.
 
     Args:
         n_workers: processes; 0 trains in this one, one after the other. Weights do not depend on it.
         n_train_scenes: how many of the training scenes they see; 0: all.
+        tells_epochs: whether a line is printed after each epoch.
 
     Raises:
         RankersError: a training that failed, with its reason; the others are kept.
     """
-    units = [(release_dir, key, scheme, out / folder_name(key), n_train_scenes) for key in keys]
+    units = [(release_dir, key, scheme, out / folder_name(key), n_train_scenes, tells_epochs) for key in keys]
     errors = []
     with closing(run_units(_train, units, min(n_workers, len(units)), units_per_life=1)) as outcomes:
         for outcome in outcomes:
@@ -88,7 +90,7 @@ def train_all(
         raise RankersError(f"{len(errors)} of {len(units)} trainings failed, must be 0: {min(errors)}")
 
 
-def _train(release_dir: Path, key: RankerKey, scheme: SplitScheme, out_dir: Path, n_train_scenes: int) -> str:
+def _train(release_dir: Path, key: RankerKey, scheme: SplitScheme, out_dir: Path, n_train_scenes: int, tells_epochs: bool) -> str:
     """In a worker: one training, told epoch by epoch; returns what was chosen."""
     settings = settings_of(key, n_train_scenes)
     start_s, done = time.perf_counter(), [0]
@@ -99,5 +101,15 @@ def _train(release_dir: Path, key: RankerKey, scheme: SplitScheme, out_dir: Path
         shown = ", ".join(f"{task} S1 {row[f'{task}_s1']:.3f}" for task in ("joint", "fixed") if row[f"{task}_s1"] is not None)
         print(f"{folder_name(key)}: epoch {row['epoch'] + 1} of {settings.n_epochs}, {shown}, about {left_s / 60:.0f} min left", flush=True)
 
-    result = train(release_dir, key.variant, key.seed, settings, out_dir, scheme=scheme, device="cpu", resume=True, on_epoch=tell)
+    result = train(
+        release_dir,
+        key.variant,
+        key.seed,
+        settings,
+        out_dir,
+        scheme=scheme,
+        device="cpu",
+        resume=True,
+        on_epoch=tell if tells_epochs else None,
+    )
     return f"epoch {result.best_epoch + 1} by {result.selected_by}, {result.n_parameters:,} parameters"
