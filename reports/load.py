@@ -12,6 +12,7 @@ import pyarrow as pa
 from pipelines.frames import frame_of
 from reports.report import ReportError
 from splits.manifest import ABOUT_THE_RELEASE, MEASUREMENTS
+from splits.own import OBJECT_SPLIT_OF_OWN
 from splits.release import REQUIRED_TABLES
 from splits.release_reader import Release
 from tables.identity import order_key
@@ -123,9 +124,10 @@ def scheme_note(scheme: SplitScheme) -> list[str]:
     """The block that stands below such a title; none for the paper's split."""
     if scheme is SplitScheme.SCENE:
         return []
-    meaning = next(column.meaning for column in SPLITS.columns if column.name == scheme.column)
+    # How many objects are held out is said by the card; here it has to be true of a dataset of one's own too.
+    meanings = {column.name: column.meaning for column in SPLITS.columns} | {SplitScheme.OBJECT.column: OBJECT_SPLIT_OF_OWN}
     return [
-        f"> **Split `{scheme.column}`**: {meaning}. Figures of the paper are of its split by scene, where"
+        f"> **Split `{scheme.column}`**: {meanings[scheme.column]}. Figures of the paper are of its split by scene, where"
         " every object, category and obstacle count is trained on: what a split decides has none of them beside it."
     ]
 

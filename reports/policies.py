@@ -58,7 +58,7 @@ FULL_PLANNER = Policy(
     (pl.col("y_plan").not_(), pl.col("plan_duration_s").fill_null(float("inf"))),
     ("planning_labels",),
 )
-RANKER = Policy("ranker", "Ranker", (-pl.col("score"),), group_stage="ranker", variant="full")
+RANKER = Policy("ranker", "Paper's ranker", (-pl.col("score"),), group_stage="ranker", variant="full")
 LOCAL = Policy("local", "Local ranker", (-pl.col("score"),), group_stage="local", variant="local")
 TREES = Policy("trees", "Trees, derived geometry", (-pl.col("score"),), group_stage="trees", variant="trees")
 TREES_POSES = Policy("trees_poses", "Trees, raw poses", (-pl.col("score"),), variant="trees_poses")
@@ -69,7 +69,7 @@ LEARNED = (RANKER, LOCAL, TREES, TREES_POSES, POSE_ONLY)
 POLICIES = (*UNLEARNED, *LEARNED)
 
 # Not policies that anyone could or should use, but bounds and parts of one.
-PLAN_HEAD_ONLY = Policy("plan_head_only", "Ranker, p_plan alone", (-pl.col("log_p_plan"),), group_stage="ranker", variant="full")
+PLAN_HEAD_ONLY = Policy("plan_head_only", "Paper's ranker, p_plan alone", (-pl.col("log_p_plan"),), group_stage="ranker", variant="full")
 ORACLE = Policy("oracle", "Oracle", (pl.col("success").not_(),))
 
 

@@ -93,7 +93,8 @@ def success_at_k_report(
 def _introduction(seeds: Mapping[Policy, Sequence[int]], scheme: SplitScheme, machine: str) -> str:
     trained = "; ".join(f"{policy.label} {', '.join(map(str, own))}" for policy, own in seeds.items())
     learned = f"Learned policies are means over their trainings, by seed: {trained}." if seeds else ""
-    missing = "" if RANKER in seeds else " **No ranker was scored: its rows are missing.**"
+    unscored = "The paper's ranker was not scored: its rows are" if seeds else "No ranker was scored: their rows are"
+    missing = "" if RANKER in seeds else f" **{unscored} missing.**"
     in_paper = (
         f" *Paper* is {paper.RANKING_SOURCE}: Isaac Sim and cuMotion there, MuJoCo, PyBullet and OMPL here, so the protocol is the same and"
         " the labels are not."

@@ -82,7 +82,7 @@ def test_one_temperature_a_head_and_training_is_printed(report: Report) -> None:
     section = report.markdown.split("## Temperatures")[1]
     for seed in (42, 43):
         shown = " | ".join(f"{report.metrics[f'temperature.ranker.{head}_seed_{seed}']:.3f}" for head in ("plan", "exec"))
-        assert f"| Ranker | {seed} | {shown} |" in section
+        assert f"| Paper's ranker | {seed} | {shown} |" in section
     assert {(row["probability"], row["scaling"]) for row in report.tables["calibration-bins"]} == {
         (name, state) for name in ("plan", "exec", "success") for state in ("before", "after")
     }

@@ -50,7 +50,7 @@ def test_a_point_is_what_the_other_report_says_of_the_same_predictions(
                 name = f"validation.{task}"
                 assert made.metrics[f"{name}.full.n{n}.s1{end}"] == pytest.approx(alone[f"{name}.ranker.s1{end}"])
     assert len(made.tables["learning_curve-trainings"]) == 2 * 2 * 2
-    assert "| Ranker | 9 | 25 % | 2 |" in made.markdown
+    assert "| Paper's ranker | 9 | 25 % | 2 |" in made.markdown
     for task in ("joint", "fixed"):
         # Two sizes two doublings apart.
         rise = made.metrics[f"validation.{task}.full.n36.s1"] - made.metrics[f"validation.{task}.full.n9.s1"]

@@ -104,7 +104,7 @@ def test_an_order_never_plans_more_than_everything_nor_stops_later_for_a_plan_th
             own = {stop: report.metrics[f"test.{task.value}.{policy}.{stop.key}.planning_s"] for stop in Stop}
             assert own[Stop.END] <= report.metrics[f"test.{task.value}.any.everything_s"]
     assert "test.fixed.ranker.first_plan.total_s" not in report.metrics, "no fixed group was timed"
-    assert "| Ranker | not timed |" in report.markdown
+    assert "| Paper's ranker | not timed |" in report.markdown
     assert "measured on **a machine**" in report.markdown
     for figure in ("1.17", "1.47"):
         assert f"| {figure} |" in report.markdown

@@ -90,7 +90,7 @@ def test_a_report_says_its_scheme_and_puts_no_figure_of_the_paper_beside_it(rele
         )
         assert by_scene == make(release_tables, predictions, tier="pilot", seed=42)
         assert by_object.markdown.startswith(f"{title}, split `object`")
-        assert "> **Split `split_object`**: train, validation or test by object: test has 6 objects" in by_object.markdown
+        assert "> **Split `split_object`**: train, validation or test by object: an object is in one of them alone" in by_object.markdown
         assert "split_object" not in by_scene.markdown
         for figure in figures:
             assert figure in by_scene.markdown

@@ -43,7 +43,7 @@ def test_all_policies_and_the_papers_figures_are_there(report: Report) -> None:
     test_part = report.markdown.split("## Validation split")[0]
     for figures in ("15.95", "20.26", "39.66", "41.81", "72.84", "85.78", "255.746", "0.655", "79.67", "78.45"):
         assert f"| {figures} |" in test_part
-    for label in ("Random (hash order)", "IK only", "Detached gripper", "IK + gripper", "Full-pool planner", "Ranker", "Oracle"):
+    for label in ("Random (hash order)", "IK only", "Detached gripper", "IK + gripper", "Full-pool planner", "Paper's ranker", "Oracle"):
         assert test_part.count(f"\n| {label}") >= 2
     for task in ("joint", "fixed"):
         assert report.metrics[f"test.{task}.oracle.s1"] == 1.0
@@ -80,7 +80,7 @@ def test_rows_in_another_order_give_the_same_report(report: Report, release_tabl
 
 def test_without_a_ranker_the_report_says_so(release_tables: dict[str, pa.Table]) -> None:
     report = success_at_k_report(release_tables, tier="pilot", seed=42)
-    assert "**No ranker was scored: its rows are missing.**" in report.markdown
+    assert "**No ranker was scored: their rows are missing.**" in report.markdown
     assert not [name for name in report.metrics if "ranker" in name]
 
 
@@ -137,7 +137,7 @@ def test_pairs_of_policies_are_compared_with_letters(report: Report) -> None:
     shown = report.markdown.split("| policy | S1 | S1 differs |")[2].split("\n\n")[0].splitlines()[2:]
     letters = {cells[1].strip(): set(cells[3].strip()) for cells in (line.split("|") for line in shown)}
     assert len(letters) == 6
-    assert not letters["Ranker"] & letters["Random (hash order)"]
+    assert not letters["Paper's ranker"] & letters["Random (hash order)"]
 
 
 def test_s1_by_stratum_adds_up(report: Report, release_tables: dict[str, pa.Table]) -> None:
@@ -164,5 +164,5 @@ def test_every_learned_policy_with_predictions_has_its_rows(release_tables: dict
         assert f"test.fixed.{policy}.s1_low" in report.metrics
     assert "test.fixed.ranker.s1" not in report.metrics
     assert "test.fixed.trees_minus_local.s1" in report.metrics
-    assert "**No ranker was scored: its rows are missing.**" in report.markdown
+    assert "**The paper's ranker was not scored: its rows are missing.**" in report.markdown
     assert "by seed: Local ranker 42, 43; Trees, derived geometry 42, 43." in report.markdown
