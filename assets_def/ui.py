@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from assets_def.chosen_dataset import add_choice, environment_of
+from assets_def.resources import REPOSITORY
 from tables.errors import PlaceBenchError
 
 
@@ -24,8 +25,10 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         environment = {**os.environ, **environment_of(parser.parse_args(arguments))}
     except PlaceBenchError as error:
         sys.exit(f"{type(error).__name__}: {error}")
+    # Dagster takes the .env of the folder that it starts in over the environment, and that of the checkout names the benchmark's instance.
+    os.chdir(environment.get("DAGSTER_HOME", REPOSITORY))
     dagster = str(Path(sys.executable).with_name("dagster"))
-    os.execve(dagster, [dagster, "dev", "-m", "assets_def.definitions"], environment)
+    os.execve(dagster, [dagster, "dev", "-m", "assets_def.definitions", "-d", str(REPOSITORY)], environment)
 
 
 if __name__ == "__main__":
