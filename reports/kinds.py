@@ -14,6 +14,7 @@ from reports.calibration_report import calibration_report
 from reports.ceiling import ceiling_report
 from reports.error_analysis import Films, errors_report
 from reports.gallery import gallery_report
+from reports.generalisation import generalisation_report
 from reports.learning_curve import learning_curve_report
 from reports.load import Task, check_parts
 from reports.planner_calls import Costs, planner_calls_report
@@ -187,16 +188,29 @@ def _judged(sources: Sources, *needed: Split) -> dict[str, pa.Table]:
     return tables
 
 
+def _generalisation(sources: Sources) -> Report:
+    predictions = {scheme: found for scheme in SplitScheme if (found := _all_predictions(sources, scheme)) is not None}
+    return generalisation_report(sources.tables(_RANKED), predictions, tier=sources.tier, seed=sources.seed)
+
+
 def _ceiling(sources: Sources) -> Report:
     tables, replicates = sources.tables(_RANKED), sources.table("test_replicates")
     return ceiling_report(tables, replicates, _all_predictions(sources), tier=sources.tier, seed=sources.seed)
 
 
-def _all_predictions(sources: Sources) -> pa.Table | None:
-    """Those of the networks and those of the trees, as far as they are there."""
-    there = sources.tables(sources.there(["predictions", "tree_predictions"]))
+def _all_predictions(sources: Sources, scheme: SplitScheme = SplitScheme.SCENE) -> pa.Table | None:
+    """Those of the networks and those of the trees of a scheme, as far as they are there."""
+    there = sources.tables(sources.there(_scores_of(scheme)))
     return join_tables(PREDICTIONS, list(there.values())) if there else None
 
+
+def _scores_of(scheme: SplitScheme) -> list[str]:
+    """Names of the tables of predictions of a scheme beside a release."""
+    folder = "" if scheme is SplitScheme.SCENE else f"{scheme.value}/"
+    return [f"{folder}{name}" for name in ("predictions", "tree_predictions")]
+
+
+_OTHER_SCORES = [name for scheme in SplitScheme if scheme is not SplitScheme.SCENE for name in _scores_of(scheme)]
 
 KINDS = {
     kind.name: kind
@@ -249,6 +263,7 @@ KINDS = {
             parts={"tree_predictions": ("trees", "trees_poses")},
             by_split=True,
         ),
+        Kind("generalisation", (*_LEARNED, _OTHER_SCORES[0]), _generalisation, ("tree_predictions", *_OTHER_SCORES[1:])),
         Kind("ceiling", (*_RANKED, "test_replicates"), _ceiling, ("predictions", "tree_predictions")),
     )
 }

@@ -21,6 +21,8 @@ from tables.schemas import ATTEMPTS, AUDITS, LEARNING_CURVE, PLANNER_COSTS, PRED
 from tables.store import read_sidecar, read_table
 from tables.vocabulary import SplitScheme
 
+_SCORES = ("predictions", "tree_predictions")
+
 # Made from a release, so after it and beside it: names of the files, and their tables. `attempts` may be in the release too; those of the
 # folder are the newer ones.
 BESIDE: dict[str, TableSchema] = {
@@ -33,6 +35,8 @@ BESIDE: dict[str, TableSchema] = {
     "attempts": ATTEMPTS,
     "audits": AUDITS,
     "test_replicates": TEST_REPLICATES,
+    # Of rankers that were trained under another split, in a folder of its name.
+    **{f"{scheme.value}/{name}": PREDICTIONS for scheme in SplitScheme if scheme is not SplitScheme.SCENE for name in _SCORES},
 }
 
 _DEFAULT_SEED = "42"  # of releases whose provenance does not name the seed of the recipe
@@ -95,7 +99,8 @@ class Sources:
         if of not in (None, self.release.manifest.release_hash):
             raise ReportError(f"{path}: about release {str(of)[:12]}, must be about {self.release.manifest.release_hash[:12]}")
         if BESIDE[name] is PREDICTIONS:
-            check_scheme(path, made_from, self.scheme)
+            scheme, _, _ = name.rpartition("/")
+            check_scheme(path, made_from, SplitScheme(scheme) if scheme else self.scheme)
         return read_table(BESIDE[name], path, verify=True)
 
     def origin(self, name: str, what: str) -> str:

@@ -60,6 +60,7 @@ def about(release_tables: dict[str, pa.Table], predictions: pa.Table) -> dict[st
         "planner_costs": planner_costs(release_tables["timings"], release_tables["candidates"]),
         "learning_curve": learning_curve_table({36: [full]}, release_tables["candidates"], release_tables["splits"]),
         "tree_predictions": table_from_rows(schemas.PREDICTIONS, trees),
+        "object/predictions": predictions,
         "attempts": table_from_rows(schemas.ATTEMPTS, [{name: row[name] for name in labels} | same for row in first]),
         "audits": table_from_rows(schemas.AUDITS, audits),
         "test_replicates": replicates_of(release_tables),
@@ -73,12 +74,13 @@ def data(release_tables: dict[str, pa.Table], predictions: pa.Table, tmp_path_fa
     whole = write_release(release_tables, root / "release" / "full", "full", "0.1.0", PROVENANCE, TOLERANCES)
     for name, table in about(release_tables, predictions).items():
         path = root / "predictions" / "full" / f"{name}.parquet"
-        write_table(BESIDE[name], table, path, {"release": whole.release_hash}, of="full")
+        trained = {SCHEME_OF_PREDICTIONS: "object"} if name.startswith("object/") else {}
+        write_table(BESIDE[name], table, path, {"release": whole.release_hash, **trained}, of="full")
     return root
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 def test_every_report_is_made_twice_the_same(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -88,7 +90,7 @@ def test_every_report_is_made_twice_the_same(data: Path, tmp_path: Path, capsys:
     assert [name for name in KINDS if "left out" in lines[name]] == ["gallery"], "the synthetic release has no meshes"
     assert f"{data}/release/full/object_meshes.parquet is missing: the release has no such table" in lines["gallery"]
     assert {path.stem for path in (tmp_path / "one").glob("*.md")} == set(MADE)
-    assert lines["14 of 15 reports in " + str(tmp_path / "one") + "; left out"].endswith(": gallery")
+    assert lines["15 of 16 reports in " + str(tmp_path / "one") + "; left out"].endswith(": gallery")
     moved = tmp_path / "elsewhere"
     shutil.copytree(data / "predictions" / "full", moved)
     assert main([str(data / "release" / "full"), "--predictions", str(moved), "--out", str(tmp_path / "two")]) == 0
@@ -152,7 +154,8 @@ def test_tables_about_another_release_and_damaged_ones_fail_alone(data: Path, tm
         in lines["trees_probe"]
     )
     assert "FAILED, StoreError" in lines["audit"]
-    failed = [name for name in KINDS if name in {"audit", "success_at_k", "planner_calls", *OF_LEARNED, "trees_probe", "ceiling"}]
+    of_trees = {"success_at_k", "planner_calls", *OF_LEARNED, "trees_probe", "generalisation", "ceiling"}
+    failed = [name for name in KINDS if name in {"audit", *of_trees}]
     assert out.splitlines()[-1].endswith(f"left out: gallery; failed: {', '.join(failed)}")
     assert {path.stem for path in (tmp_path / "out").glob("*.md")} == set(MADE) - set(failed)
 
