@@ -9,6 +9,7 @@ from assets_def.rankers import SCORED, Place, keys_of
 from assets_def.resources import Benchmark
 from model.checkpoint import input_errors, load_checkpoint, weights_sha256
 from model.inputs import contract_hash
+from reports.predictions import check_scheme
 from splits.release_reader import Release
 from tables.identity import parse_candidate_id
 from tables.schemas import PREDICTIONS
@@ -17,6 +18,9 @@ from tables.store import read_table
 from tables.vocabulary import SplitScheme
 
 TIER = "full"
+# Splits whose rankers are judged in what is shipped.
+BESIDE = {scheme: Place.of(Benchmark(), TIER, scheme).beside for scheme in SplitScheme}
+SCHEMES = [scheme for scheme, folder in BESIDE.items() if folder.is_dir()]
 FOLDERS = sorted(path for path in (SHIPPED / TIER).iterdir() if path.is_dir())
 
 
@@ -39,14 +43,16 @@ def test_a_shipped_checkpoint_is_what_the_settings_of_today_train(folder, place:
     assert input_errors(folder) == []
 
 
+@pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", ["predictions", "tree_predictions"])
-def test_predictions_are_about_the_published_release(name: str, release: Release, place: Place) -> None:
-    """Of every candidate of validation and test, by the weights that are shipped wherever they are."""
-    path = place.beside / f"{name}.parquet"
+def test_predictions_are_about_the_published_release(name: str, scheme: SplitScheme, release: Release) -> None:
+    """Of every candidate of validation and test of their split, by the weights that are shipped wherever they are."""
+    path = BESIDE[scheme] / f"{name}.parquet"
     made_from = read_sidecar(path).made_from
+    check_scheme(path, made_from, scheme)
     assert made_from["release"] == release.manifest.release_hash
     assert made_from["contract"] == contract_hash()
-    splits = {row["scene_id"]: row["split"] for row in release.table("splits").to_pylist()}
+    splits = {row["scene_id"]: row[scheme.column] for row in release.table("splits").to_pylist()}
     scored = sorted(
         row for row in release.table("candidates")["candidate_id"].to_pylist() if splits[parse_candidate_id(row).scene_id] in SCORED
     )
@@ -56,7 +62,7 @@ def test_predictions_are_about_the_published_release(name: str, release: Release
         by_training.setdefault((row["variant"], row["seed"]), []).append(row["candidate_id"])
     for training, ids in by_training.items():
         assert ids == scored, f"{training} scores every candidate once"
-    if name == "predictions":
+    if name == "predictions" and scheme is SplitScheme.SCENE:
         stated = {name: sha256 for name, sha256 in made_from.items() if name.startswith("ranker.")}
         assert set(stated) == {f"ranker.{variant}.{seed}" for variant, seed in by_training}
         shipped = {f"ranker.{folder.name.replace('-', '.')}": weights_sha256(folder) for folder in FOLDERS}
@@ -67,4 +73,4 @@ def test_what_is_shipped_stays_small() -> None:
     files = [path for folder in FOLDERS for path in folder.iterdir()]
     assert sum(path.stat().st_size for path in files) < 20e6
     beside = Benchmark().root.predictions(TIER)
-    assert sum(path.stat().st_size for path in beside.iterdir()) < 20e6
+    assert sum(path.stat().st_size for path in beside.rglob("*.*")) < 20e6
