@@ -54,8 +54,8 @@ rankers: $(INSTALLED)  ## rankers of a release, as far as they are neither shipp
 curve: $(INSTALLED)  ## S1 by training scenes: trains rankers on some of them, for the learning_curve report (TIER; ONLY=variants)
 	$(PY) -m assets_def.learning_curve $(TIER) --workers $(WORKERS) $(if $(ONLY),--only $(ONLY))
 
-replicates: $(INSTALLED)  ## planned test candidates executed again under small real uncertainty, for the ceiling report; resumable
-	$(PY) -m splits.replicates $(RELEASE) --workers $(WORKERS) $(OF_RECIPE)
+replicates: $(INSTALLED)  ## planned test candidates executed again under small real uncertainty, for the ceiling report; resumable (SCENES=80: so many scenes, to which a later run adds)
+	$(PY) -m splits.replicates $(RELEASE) --workers $(WORKERS) $(if $(SCENES),--scenes $(SCENES)) $(OF_RECIPE)
 
 points: $(INSTALLED)  ## heavy tables of a light release again, hash-checked (RELEASE=folder, data/release/$(TIER) by default)
 	$(PY) -m splits.rebuild $(RELEASE) points --workers $(WORKERS) $(OF_RECIPE)

@@ -154,7 +154,7 @@ def test_replicates(context: AssetExecutionContext, benchmark: Benchmark) -> Ite
 
     def execute() -> pa.Table:
         release = Release.open(benchmark.root.release(tier))
-        return execute_replicates(release, kept, benchmark.n_workers, N_REPLICATED[tier], benchmark.recipe_file, context.log.info)
+        return execute_replicates(release, kept, None, benchmark.n_workers, N_REPLICATED[tier], benchmark.recipe_file, context.log.info)
 
     yield from product.publish(execute)
     kept.unlink(missing_ok=True)

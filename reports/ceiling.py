@@ -50,7 +50,7 @@ def ceiling_report(
 
     Args:
         tables: `candidates`, `splits`, `scenes`, `targets`, `policy_features` of a release.
-        replicates: table `test_replicates` of it.
+        replicates: table `test_replicates` of it, of all or of some scenes; policies are judged on these.
         predictions: table `predictions` of any learned policies.
         tier: printed in the title.
         seed: of the hash order and the resampling.
@@ -58,11 +58,15 @@ def ceiling_report(
     Raises:
         ReportError: a planned test candidate without its replicates, or replicates of another candidate.
     """
-    frame = candidate_frame(tables, seed).filter(pl.col("split") == Split.TEST.value)
+    of_test = candidate_frame(tables, seed).filter(pl.col("split") == Split.TEST.value)
+    # The table may be of some scenes, of each then whole; one without a planned candidate has no covered group.
+    executed = frame_of(replicates).join(of_test.select("candidate_id", "scene_id"), on="candidate_id")["scene_id"].unique()
+    frame = of_test.filter(pl.col("scene_id").is_in(executed))
     outcomes = _outcomes(frame, frame_of(replicates))
     scores = None if predictions is None else frame_of(predictions)
     n_replicates = outcomes["outcomes"].list.len().max()
-    blocks = [f"# The ceiling on tier {tier}, test split", _about(outcomes, n_replicates)]
+    n_scenes = (frame["scene_id"].n_unique(), of_test.filter("y_plan")["scene_id"].n_unique())
+    blocks = [f"# The ceiling on tier {tier}, test split", _about(outcomes, n_replicates, *n_scenes)]
     metrics: dict[str, float] = {"n_executions": float(outcomes["outcomes"].list.len().sum())}
     for task in Task:
         section, values = _task_section(frame.join(outcomes, on="candidate_id", how="left"), scores, task, seed)
@@ -96,10 +100,11 @@ def _outcomes(frame: pl.DataFrame, replicates: pl.DataFrame) -> pl.DataFrame:
     return joined
 
 
-def _about(outcomes: pl.DataFrame, n_replicates: object) -> str:
+def _about(outcomes: pl.DataFrame, n_replicates: object, n_scenes: int, n_all_scenes: int) -> str:
+    of_scenes = "" if n_scenes == n_all_scenes else f" in {n_scenes} of its {n_all_scenes} scenes, the first in the order of their hash"
     return (
-        f"Every planned candidate of the test split, {outcomes.height:,}, was executed {n_replicates} more times under small real"
-        " uncertainty that the plan does not know: friction ±10 %, mass ±5 %, where the object lies in the hand ±1 mm and ±1° on every"
+        f"Every planned candidate of the test split{of_scenes}, {outcomes.height:,}, was executed {n_replicates} more times under small"
+        " real uncertainty that the plan does not know: friction ±10 %, mass ±5 %, where the object lies in the hand ±1 mm and ±1° on every"
         " axis, the start of each motion ±1 control step. **S1** is of the stored labels, on covered groups, as everywhere. **Robust"
         " S1** is the mean success over the replicates of what a policy tries first; a first choice without a plan has none. The"
         " **ceiling** is what the best candidate of a group is worth: chosen on all replicates but one and judged on that one, each held"

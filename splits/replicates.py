@@ -1,8 +1,9 @@
 """Executes every planned candidate of the test split of a release again, under small real uncertainty: table `test_replicates`.
 
-python -m splits.replicates DIR [--workers N] [--out FILE]
+python -m splits.replicates DIR [--scenes N] [--workers N] [--out FILE]
 
 Needs a whole release (`make plans` for a light one). Scenes are kept as they finish, beside the table: a killed run goes on where it was.
+With --scenes the table is of so many scenes of the split, the first in the order of their hash; a later run adds to it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,72 +28,107 @@ from splits.errors import ReleaseError
 from splits.manifest import Manifest
 from splits.release_reader import Release
 from tables.errors import PlaceBenchError
-from tables.identity import family_of_tier
+from tables.identity import family_of_tier, order_key, parse_candidate_id
 from tables.schemas import TEST_REPLICATES
-from tables.sidecar import Sidecar, find_published
-from tables.store import write_table
+from tables.sidecar import Sidecar, find_published, read_sidecar
+from tables.store import join_tables, read_table, write_table
 from tables.versions import library_versions
 from tables.vocabulary import Split
 
 TABLE = TEST_REPLICATES.name
+_SCENES = "parameter.scenes"
 
 
 def make_replicates(
     release: Release,
     path: Path,
     n_workers: int = 1,
+    n_scenes: int = 0,
     n_replicates: int = N_REPLICATES,
     recipe_path: Path = DEFAULT_RECIPE,
     log: Callable[[str], Any] = print,
 ) -> Sidecar:
-    """Publish table `test_replicates` of a release at a path, or keep the one that is there and was made from the same.
-
-    Raises:
-        ReleaseError, ReplicateError: as `execute_replicates`.
-        LockError: somebody else makes this table.
-    """
-    made_from = replicates_made_from(release.manifest, recipe_of(release, recipe_path), n_replicates)
-    found = find_published(TEST_REPLICATES, path, made_from, release.manifest.tier)
-    if isinstance(found, Sidecar):
-        log(f"{TABLE}: there already, {found.rows:,} rows")
-        return found
-    with locked(path.with_name(f".{path.name}.lock"), f"{TABLE} of {release.manifest.tier}"):
-        table = execute_replicates(release, kept_beside(path), n_workers, n_replicates, recipe_path, log)
-        sidecar = write_table(TEST_REPLICATES, table, path, made_from, of=release.manifest.tier)
-        kept_beside(path).unlink()
-    log(f"{TABLE}: {sidecar.rows:,} rows, content hash {sidecar.content_hash[:12]}, {path}")
-    return sidecar
-
-
-def execute_replicates(
-    release: Release,
-    kept: Path,
-    n_workers: int = 1,
-    n_replicates: int = N_REPLICATES,
-    recipe_path: Path = DEFAULT_RECIPE,
-    log: Callable[[str], Any] = print,
-) -> pa.Table:
-    """Table `test_replicates` of a release.
+    """Publish table `test_replicates` of a release at a path; what is there and was made from the same stays, and may be of fewer scenes.
 
     Args:
-        kept: file of the finished scenes; whoever has published the table removes it.
         n_workers: worker processes; 0 stays in this process. The table does not depend on it.
+        n_scenes: how many scenes of the test split, the first in the order of their hash, so that more hold the fewer; 0: all.
         n_replicates: executions of each candidate.
         recipe_path: the recipe that the release was made with.
         log: told how far it is.
 
     Raises:
+        ReleaseError, ReplicateError: as `execute_replicates`.
+        LockError: somebody else makes this table.
+    """
+    tier, recipe = release.manifest.tier, recipe_of(release, recipe_path)
+    made_from = replicates_made_from(release.manifest, recipe, n_replicates)
+    scenes = _planned_scenes(release, recipe.seed)
+    chosen = scenes[: n_scenes or None]
+    with locked(path.with_name(f".{path.name}.lock"), f"{TABLE} of {tier}"):
+        found, before = _published(path, made_from, tier)
+        there = {parse_candidate_id(name).scene_id for name in before["candidate_id"].to_pylist()} if before is not None else set()
+        missing = [scene_id for scene_id in chosen if scene_id not in there]
+        if found is not None and not missing:
+            log(f"{TABLE}: there already, {found.rows:,} rows of {len(there)} scenes")
+            return found
+        made = execute_replicates(release, kept_beside(path), missing, n_workers, n_replicates, recipe_path, log)
+        table = join_tables(TEST_REPLICATES, [made] if before is None else [before, made])
+        n = len(there.union(chosen))
+        sidecar = write_table(TEST_REPLICATES, table, path, made_from | _of_scenes(n, len(scenes)), of=tier)
+        kept_beside(path).unlink()
+    log(f"{TABLE}: {sidecar.rows:,} rows of {n} of {len(scenes)} scenes, content hash {sidecar.content_hash[:12]}, {path}")
+    return sidecar
+
+
+def _planned_scenes(release: Release, seed: int) -> list[str]:
+    """Scenes of the test split with a planned candidate, in the order of their hash."""
+    return sorted(_planned(release)["scene_id"].unique(), key=lambda scene_id: order_key(seed, "replicated-scenes", scene_id))
+
+
+def _planned(release: Release) -> pl.DataFrame:
+    return release.candidates.filter(pl.col("y_plan") & (pl.col("split") == Split.TEST.value)).select(
+        "candidate_id", pl.col("scene_id").cast(pl.String)
+    )
+
+
+def _published(path: Path, made_from: Mapping[str, str], tier: str) -> tuple[Sidecar, pa.Table] | tuple[None, None]:
+    """The table at a path and its sidecar, if it was made from the same, of whatever scenes."""
+    if not path.exists():
+        return None, None
+    of_scenes = {name: value for name, value in read_sidecar(path).made_from.items() if name == _SCENES}
+    found = find_published(TEST_REPLICATES, path, dict(made_from) | of_scenes, tier)
+    return (found, read_table(TEST_REPLICATES, path, verify=True)) if isinstance(found, Sidecar) else (None, None)
+
+
+def execute_replicates(
+    release: Release,
+    kept: Path,
+    scene_ids: Collection[str] | None = None,
+    n_workers: int = 1,
+    n_replicates: int = N_REPLICATES,
+    recipe_path: Path = DEFAULT_RECIPE,
+    log: Callable[[str], Any] = print,
+) -> pa.Table:
+    """Rows of table `test_replicates` of a release.
+
+    Args:
+        kept: file of the finished scenes; whoever has published the table removes it.
+        scene_ids: of scenes of the test split; all of them without.
+        n_workers, n_replicates, recipe_path, log: as of `make_replicates`.
+
+    Raises:
         ReleaseError: a release of another recipe, or without plans.
         ReplicateError: a scene that could not be executed; the others are kept for the next run.
     """
-    recipe = recipe_of(release, recipe_path)
-    of_test = release.candidates.filter(pl.col("y_plan") & (pl.col("split") == Split.TEST.value))
+    recipe, planned = recipe_of(release, recipe_path), _planned(release)
+    chosen = planned if scene_ids is None else planned.filter(pl.col("scene_id").is_in(scene_ids))
     start_s = time.perf_counter()
 
     def tell(done: int, total: int, core_s: float) -> None:
         log(f"{TABLE}: {done} of {total} scenes, {core_s:.0f} core-s, {time.perf_counter() - start_s:.0f} s")
 
-    works = works_of(release.values, of_test["candidate_id"].to_list(), recipe, n_replicates)
+    works = works_of(release.values, chosen["candidate_id"].to_list(), recipe, n_replicates)
     return replicate_table(works, kept, replicates_made_from(release.manifest, recipe, n_replicates), n_workers, tell)
 
 
@@ -110,7 +146,7 @@ def recipe_of(release: Release, path: Path) -> Recipe:
 
 
 def replicates_made_from(manifest: Manifest, recipe: Recipe, n_replicates: int) -> dict[str, str]:
-    """What decides the rows of `test_replicates` of a release."""
+    """What decides the rows of `test_replicates` of a scene of a release."""
     stage = STAGE["execution_labels"]
     return {
         "release": manifest.release_hash,
@@ -120,6 +156,11 @@ def replicates_made_from(manifest: Manifest, recipe: Recipe, n_replicates: int) 
         "parameter.replicates": str(n_replicates),
         **{f"engine.{name}": version for name, version in library_versions(stage.engines).items()},
     }
+
+
+def _of_scenes(n: int, n_all: int) -> dict[str, str]:
+    """What a record says besides where a table is not of all scenes."""
+    return {} if n == n_all else {_SCENES: str(n)}
 
 
 def default_path(directory: Path, tier: str) -> Path:
@@ -134,13 +175,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m splits.replicates", description=__doc__)
     parser.add_argument("directory", type=Path, help="a whole release")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="worker processes; the result does not depend on it")
+    parser.add_argument("--scenes", type=int, default=0, metavar="N", help="scenes of the split, the first in hash order (all)")
     parser.add_argument("--out", type=Path, metavar="FILE", help=f"of the table; {TABLE}.parquet beside others by default")
     parser.add_argument("--recipe", type=Path, default=DEFAULT_RECIPE)
     chosen = parser.parse_args(arguments)
     try:
         release = Release.open(chosen.directory)
         path = chosen.out or default_path(chosen.directory, release.manifest.tier)
-        make_replicates(release, path, chosen.workers, recipe_path=chosen.recipe)
+        make_replicates(release, path, chosen.workers, chosen.scenes, recipe_path=chosen.recipe)
     except PlaceBenchError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

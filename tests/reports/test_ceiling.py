@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from reports.ceiling import ceiling_report, cross_fitted_best
 from reports.report import ReportError
 from tables import schemas
+from tables.identity import parse_candidate_id
 from tables.store import table_from_rows
 from tests.reports.replicates import replicates_of
 from tests.reports.shuffled import backwards
@@ -88,6 +89,21 @@ def test_known_probabilities_give_known_numbers(release_tables: Tables, predicti
     assert metrics["success_flips"] == pytest.approx(0.2, abs=0.03)
     again = ceiling_report(backwards(release_tables), backwards({"": uncertain})[""], predictions, tier="full", seed=42)
     assert again == report
+
+
+def test_replicates_of_some_scenes_judge_these_scenes(release_tables: Tables, predictions: pa.Table) -> None:
+    rows = replicates_of(release_tables, lambda row: 1.0 if row["y_pipe"] else 0.0).to_pylist()
+    scenes = sorted({parse_candidate_id(row["candidate_id"]).scene_id for row in rows})[:10]
+    some = table_from_rows(schemas.TEST_REPLICATES, [row for row in rows if parse_candidate_id(row["candidate_id"]).scene_id in scenes])
+    report = ceiling_report(release_tables, some, predictions, tier="full", seed=42)
+    of_these = {**release_tables, "splits": only_in_test(release_tables["splits"], set(scenes))}
+    assert report.metrics == ceiling_report(of_these, some, predictions, tier="full", seed=42).metrics
+    assert "in 10 of its 12 scenes, the first in the order of their hash" in report.markdown
+
+
+def only_in_test(splits: pa.Table, scene_ids: set[str]) -> pa.Table:
+    rows = [row | {"split": "test" if row["scene_id"] in scene_ids else "train"} for row in splits.to_pylist()]
+    return table_from_rows(schemas.SPLITS, rows)
 
 
 def test_replicates_of_others_and_missing_ones_are_named(release_tables: Tables) -> None:
