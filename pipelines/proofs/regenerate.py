@@ -4,6 +4,8 @@ Scenes of a release are compared by splits.regenerate.
 
 `python -m pipelines.regenerate full-0042` or `python -m pipelines.regenerate full-0042-t3-g17`; a candidate also as a film, see shown.py:
 `python -m pipelines.regenerate full-0042-t3-g17 --mcap out.mcap --filmstrip out.png --gif out.gif`
+
+Where the shards hold nothing of a candidate, as in a fresh clone, it is compared with the release of its name in the data folder.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from objects.catalogue import PACKAGED_CATALOGUE, catalogue_order, load_catalogu
 from objects.errors import ObjectError
 from objects.object_model import ObjectModel
 from pipelines.codecs import Row, known_in, rows_by_scene
-from pipelines.proofs.shown import ShownError, add_film_flags, show
+from pipelines.proofs.shown import ShownError, add_film_flags, check_shown, show
 from pipelines.recipe import DEFAULT_RECIPE, Recipe, RecipeError, load_recipe
 from pipelines.running.data_root import DataRoot
 from pipelines.running.dataset_record import DatasetError, check_dataset
@@ -99,6 +101,9 @@ def make_again(
         )
     rows = _make_rows(recipe, object_models[allocation.object_id], allocation, candidate)
     if candidate and not any(row["candidate_id"] == name for row in rows["planning_labels"]):
+        n_targets = len(rows["targets"])
+        if candidate.target_id >= n_targets:
+            raise IdentityError(f"{name}: target {candidate.target_id}, must be in [0, {n_targets}), the targets of {scene_id}")
         raise IdentityError(f"{name}: grasp {candidate.grasp_id} is not among the lifted grasps of {scene_id}")
     return MadeAgain(recipe, object_models[allocation.object_id], scene_id, order.layout.shard_of_scene(scene_id), candidate, rows)
 
@@ -175,13 +180,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add_film_flags(parser)
     chosen = parser.parse_args(arguments)
     try:
-        check_dataset(DataRoot(chosen.data), chosen.catalogue)
+        root = DataRoot(chosen.data)
+        check_dataset(root, chosen.catalogue)
+        check_shown(chosen)
         made = make_again(chosen.name, chosen.recipe, catalogue=chosen.catalogue)
-        comparisons = compared(made, DataRoot(chosen.data))
+        comparisons = compared(made, root)
         words = {True: "identical", False: "DIFFERENT", None: "not stored"}
         for c in comparisons:
             print(f"{c.table:18s} {c.rows:6d} rows  {c.fresh_hash[:16]}  {words[c.is_identical]}")
         found = {c.is_identical for c in comparisons}
+        released = root.release(parse_scene_id(made.scene_id)[0])
+        if found == {None} and made.candidate is not None and chosen.release is None and (released / "manifest.json").exists():
+            chosen.release = released
         if False not in found and show(chosen, made.recipe, made.object_model, made.rows):
             found.add(True)
     except (DatasetError, IdentityError, ObjectError, RecipeError, ShownError) as error:

@@ -39,6 +39,13 @@ def add_film_flags(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--release", type=Path, metavar="DIR", help="a release whose row of the candidate must come out again")
 
 
+def check_shown(chosen: argparse.Namespace) -> None:
+    """Raise ShownError where a scene is to be shown: only a candidate can."""
+    is_shown = any(getattr(chosen, name) is not None for name in ("mcap", "filmstrip", "gif", "release"))
+    if is_shown and "-t" not in chosen.name:
+        raise ShownError(f"{chosen.name}: a scene, must be a candidate like {chosen.name}-t3-g17 to be shown or compared with a release")
+
+
 def show(chosen: argparse.Namespace, recipe: Recipe, object_model: ObjectModel, rows: Rows) -> bool:
     """Write the files that were asked for, if any, and print their paths; whether there was a row of a release to compare with.
 
@@ -49,13 +56,11 @@ def show(chosen: argparse.Namespace, recipe: Recipe, object_model: ObjectModel, 
         rows: of that candidate, by table, made again.
 
     Raises:
-        ShownError: a row that is not as stored, a release of another recipe or without the candidate, or no candidate to show.
+        ShownError: a row that is not as stored, or a release of another recipe or without the candidate.
     """
     outputs: dict[str, Path] = {name: path for name in ("mcap", "filmstrip", "gif") if (path := getattr(chosen, name)) is not None}
     if not outputs and chosen.release is None:
         return False
-    if "-t" not in chosen.name:
-        raise ShownError(f"{chosen.name}: a scene, must be a candidate like {chosen.name}-t3-g17")
     identity = {"recipe_hash": recipe.hash_of()}
     if chosen.release is not None:
         identity |= check_released(chosen.release, chosen.name, recipe, rows)

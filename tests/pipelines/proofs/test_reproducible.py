@@ -136,6 +136,29 @@ def test_ids_that_do_not_exist_are_refused(capsys: pytest.CaptureFixture[str]) -
         regenerate("pilot-0001", DataRoot(Path("nowhere")))
     assert main(["full-9999"]) == 1
     assert "must be in [0, 1235)" in capsys.readouterr().err
+    assert main(["full-0000", "--gif", "a.gif"]) == 1
+    assert capsys.readouterr().err.startswith("full-0000: a scene, must be a candidate like full-0000-t3-g17")
+
+
+def test_a_target_and_a_grasp_that_there_are_not_are_told_apart(inputs: ShardInputs, recipe_path: Path) -> None:
+    models = dict(inputs.object_models)
+    with pytest.raises(IdentityError, match=rf"{SCENES[0]}-t9-g00: target 9, must be in \[0, 8\), the targets of {SCENES[0]}"):
+        make_again(f"{SCENES[0]}-t9-g00", recipe_path, models)
+    with pytest.raises(IdentityError, match="grasp 63 is not among the lifted grasps"):
+        make_again(f"{SCENES[0]}-t0-g63", recipe_path, models)
+
+
+def test_without_shards_a_candidate_is_compared_with_the_release_of_the_data_folder(
+    tmp_path: Path, inputs: ShardInputs, built: tuple[DataRoot, dict[str, str]], recipe_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shard = built[0].read_shard(SHARD, [s.CANDIDATE_PAIRS, s.PLANNING_LABELS, s.EXECUTION_LABELS])
+    candidates = join_candidates(shard["candidate_pairs"], shard["planning_labels"], shard["execution_labels"])
+    name = candidates["candidate_id"].to_pylist()[0]
+    arguments = [name, "--data", str(tmp_path), "--recipe", str(recipe_path)]
+    assert main(arguments) == 2, "nothing is there to compare with"
+    _write_release(tmp_path / "release" / "mini", candidates, inputs.recipe.hash_of())
+    assert main(arguments) == 0
+    assert f"every label of {name}, every bit" in capsys.readouterr().out
 
 
 def test_a_label_is_shown_as_it_was_made_or_not_at_all(
