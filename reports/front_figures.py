@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -33,6 +34,7 @@ _TRUST = (
     "every table is checked against its law before the next\n"
     "stage reads it: the same bits every time."
 )
+_LINE_OF_REPORTS = 62  # characters that fit its box
 _RANKERS = "five inputs, known before planning:\nPointNet++, local, trees, yours"
 
 
@@ -84,7 +86,7 @@ def chain_figure(numbers: Mapping[str, str]) -> bytes:
         numbers: how much of it a release holds, by group.
     """
     columns = [("objects", tuple(OBJECT_TABLES)), *_groups(), ("release", ("candidates", "grasps", "splits", "... and the others"))]
-    width, height, gap = 11.0, 3.15, 0.26
+    width, height, gap = 11.0, 3.3, 0.26
     figure = canvas(width, height, layout=None)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_xlim(0, width)
@@ -93,15 +95,15 @@ def chain_figure(numbers: Mapping[str, str]) -> bytes:
     box = (width - 0.16 - gap * (len(columns) - 1)) / len(columns)
     left = [0.08 + k * (box + gap) for k in range(len(columns))]
     for (name, tables), x in zip(columns, left, strict=True):
-        _box(axes, (x, 1.12, box, 1.95), name, numbers.get(name, ""), _ABOUT[name], tables)
+        _box(axes, (x, 1.27, box, 1.95), name, numbers.get(name, ""), _ABOUT[name], tables)
     for x in left[1:]:
-        _arrow(axes, (x - gap, 2.3), (x - 0.01, 2.3))
+        _arrow(axes, (x - gap, 2.45), (x - 0.01, 2.45))
     reports = ", ".join(name.replace("_", " ") for name in KINDS if name != "shard_diagnostics")
-    _box(axes, (left[4], 0.08, left[5] - left[4] + box, 0.78), "rankers", "", _RANKERS)
-    _box(axes, (left[2], 0.08, left[3] - left[2] + box, 0.78), "reports", "", _two_lines(f"{reports}, films, site"))
-    _arrow(axes, (left[5] + box / 2, 1.12), (left[5] + box / 2, 0.87))
-    _arrow(axes, (left[4], 0.47), (left[3] + box + 0.01, 0.47))
-    axes.text(left[0] + 0.1, 0.82, _TRUST, fontsize=8.2, color=_DIM, va="top", linespacing=1.35)
+    _box(axes, (left[4], 0.08, left[5] - left[4] + box, 0.93), "rankers", "", _RANKERS)
+    _box(axes, (left[2], 0.08, left[3] - left[2] + box, 0.93), "reports", "", fill(f"{reports}, films, site", _LINE_OF_REPORTS))
+    _arrow(axes, (left[5] + box / 2, 1.27), (left[5] + box / 2, 1.02))
+    _arrow(axes, (left[4], 0.54), (left[3] + box + 0.01, 0.54))
+    axes.text(left[0] + 0.1, 0.92, _TRUST, fontsize=8.2, color=_DIM, va="top", linespacing=1.35)
     return png(figure)
 
 
@@ -111,11 +113,6 @@ def _groups() -> list[tuple[str, tuple[str, ...]]]:
     for stage in STAGES:
         groups.setdefault(stage.group, []).extend(schema.name for schema in stage.outputs)
     return [(name, tuple(tables)) for name, tables in groups.items()]
-
-
-def _two_lines(text: str) -> str:
-    cut = text.index(", ", len(text) // 2 - 6) + 1
-    return f"{text[:cut]}\n{text[cut + 1 :]}"
 
 
 def _box(axes: Axes, place: tuple[float, float, float, float], name: str, number: str, about: str, tables: Sequence[str] = ()) -> None:

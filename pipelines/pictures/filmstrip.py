@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -35,9 +36,33 @@ class Frame:
 
 
 def execution_frames(recording: Recording, n_frames: int = 6, size_px: tuple[int, int] = (320, 240)) -> list[Frame]:
-    """Photographs of an execution, spread evenly over time, the last is the end; the target is a green ghost."""
-    picked = np.unique(np.linspace(0, len(recording.moments) - 1, n_frames).round().astype(int))
-    return photographs(recording, [recording.moments[k] for k in picked], size_px)
+    """Photographs of an execution, of what tells it best, the last is the end; the target is a green ghost."""
+    return photographs(recording, [recording.moments[k] for k in telling_moments(recording.moments, n_frames)], size_px)
+
+
+def telling_moments(moments: Sequence[Moment], n: int) -> list[int]:
+    """Numbers of n moments, ascending: the first, the last of each phase, and what lies halfway where arm and object move most between.
+
+    Args:
+        n: at least 2; where there are more phases, they are thinned out, and where there are fewer moments, all are taken.
+    """
+    last = len(moments) - 1
+    chosen = [0, *(k for k in range(last) if k and moments[k].phase is not moments[k + 1].phase), last][: last + 1]
+    if len(chosen) > n:
+        return [chosen[k] for k in np.linspace(0, len(chosen) - 1, n).round().astype(int)]
+    while len(chosen) < n:
+        gaps = [(_way(moments[a], moments[b]), a, b) for a, b in pairwise(chosen) if b - a > 1]
+        if not gaps:
+            break
+        _, a, b = max(gaps)
+        halfway = min(range(a + 1, b), key=lambda k: abs(_way(moments[a], moments[k]) - _way(moments[k], moments[b])))
+        chosen = sorted([*chosen, halfway])
+    return chosen
+
+
+def _way(a: Moment, b: Moment) -> float:
+    """How different two moments look: the turns of the joints, a turn of one radian counting as much as 10 cm of the object."""
+    return float(np.abs(b.q_rad - a.q_rad).sum() + 10.0 * np.linalg.norm(b.T_base_object[:3, 3] - a.T_base_object[:3, 3]))
 
 
 def photographs(recording: Recording, moments: Sequence[Moment], size_px: tuple[int, int]) -> list[Frame]:
@@ -85,7 +110,7 @@ def _title(recording: Recording) -> str:
     labels, parts = recording.labels, [recording.verdict]
     if labels.get("final_position_error_m") is not None:
         degrees = np.rad2deg(labels["final_rotation_error_rad"])
-        parts.append(f"{1e3 * labels['final_position_error_m']:.1f} mm and {degrees:.1f} deg from the target")
+        parts.append(f"{1e3 * labels['final_position_error_m']:.1f} mm and {degrees:.1f}° from the target")
     return f"{'; '.join(parts)} ({recording.object_model.object_id})"
 
 
@@ -106,7 +131,7 @@ def _rejection_tiles(recording: Recording, size_px: tuple[int, int]) -> list[Til
         renderer.add_mesh(recording.object_model.mesh, recording.candidate.target.T_base_target, GHOST_RGB)
         picture = shrunk(renderer.photograph(view).rgb.astype(np.float64))
     status = recording.labels["plan_status"]
-    return [Tile(start.picture, "after the lift, where planning starts"), Tile(picture, f"hand and object at the place: {status}")]
+    return [Tile(start.picture, "after the lift, where planning starts"), Tile(picture, f"at the place: {status}")]
 
 
 def _view(recording: Recording, size_px: tuple[int, int]) -> View:

@@ -41,7 +41,7 @@ def picture_view(size_px: tuple[int, int], middle_xy: Float[np.ndarray, "2"] | N
     if middle_xy is None:
         return View((1.35, 0.70, 0.80), (0.38, 0.0, 0.14), 39.0, width, height)
     x, y = (float(v) for v in middle_xy)
-    return View((x + 0.90, y + 0.65, 0.70), (x, y, 0.16), 36.0, width, height)
+    return View((x + 1.00, y + 0.72, 0.80), (x, y, 0.20), 38.0, width, height)
 
 
 def shrunk(picture: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
