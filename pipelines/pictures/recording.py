@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -42,7 +42,7 @@ class Recording:
 
     Attributes:
         labels: its row of `planning_labels` and, where it was planned, of `execution_labels`, in one.
-        moments: of the execution, about 30 a second; the one state after the lift where there is no execution.
+        moments: of the execution, from time zero, about 30 a second; the one state after the lift where there is no execution.
         T_base_place: TCP pose where the hand lets go, or was asked to.
     """
 
@@ -75,7 +75,7 @@ def record_execution(
         planning_row: its row of `planning_labels`, where the recording is to hold it.
     """
     with HandWorld(object_model, candidate.scene.obstacles, setup.physics) as world:
-        watcher = _Watcher(world)
+        watcher = _Watcher(world, [_lifted(candidate)])
         row = execute_candidate(world, candidate, motion, setup, watcher.watch)
     labels = {**(planning_row or {}), **row}
     return Recording(object_model, candidate, labels, tuple(watcher.moments), fk(motion.descend_q_rad[-1]))
@@ -87,16 +87,20 @@ def record_rejection(object_model: ObjectModel, candidate: Candidate, release_he
     Args:
         release_height_m: how far above the target the hand was asked to let go.
     """
+    return Recording(object_model, candidate, dict(planning_row), (_lifted(candidate),), candidate.place_pose(release_height_m))
+
+
+def _lifted(candidate: Candidate) -> Moment:
+    """Time zero: the state after the lift, before the engine has found a contact."""
     grasp = candidate.grasp
     T_base_object = fk(grasp.lifted_q_rad) @ grasp.T_tcp_object
-    start = Moment(Phase.HOLD, 0.0, grasp.lifted_q_rad, grasp.fingers_m, T_base_object, 0.0, 0.0)
-    return Recording(object_model, candidate, dict(planning_row), (start,), candidate.place_pose(release_height_m))
+    return Moment(Phase.HOLD, 0.0, grasp.lifted_q_rad, grasp.fingers_m, T_base_object, 0.0, 0.0)
 
 
 @dataclass(slots=True)
 class _Watcher:
     world: HandWorld
-    moments: list[Moment] = field(default_factory=list)
+    moments: list[Moment]
 
     def watch(self, phase: Phase) -> bool:
         world, has_hand = self.world, self.world.has_robot

@@ -50,6 +50,7 @@ def test_a_trace_holds_the_execution() -> None:
     messages = _messages(data)
     times_ns = [round(moment.time_s * 1e9) for moment in recording.moments]
     assert [t for t, _ in messages["/tf"]] == [t for t, _ in messages["/joint_states"]] == times_ns
+    assert times_ns[0] == 0
     last = {x.child_frame_id: x for x in messages["/tf"][-1][1].transforms}
     assert {x.parent_frame_id for x in last.values()} == {"base"}
     assert {*(f"panda_link{k}" for k in range(9)), "panda_hand", "panda_leftfinger", "panda_rightfinger", "tcp", "object", "target"} <= set(
