@@ -1,7 +1,7 @@
 """Repairs of triangle meshes by trimesh and manifold3d, each with a note of what it did; user_mesh.py decides which are asked for.
 
-A hole is closed by a fan (trimesh), bodies that overlap are joined and faces saved by exact booleans (manifold3d). The one thing of our own
-is the test whether a mesh runs through itself: manifold3d takes it for granted that a mesh does not.
+Holes are mesh_holes.py's. Bodies that overlap are joined and faces saved by exact booleans (manifold3d). The one thing of our own is the
+test whether a mesh runs through itself: manifold3d takes it for granted that a mesh does not.
 """
 
 from __future__ import annotations
@@ -46,18 +46,6 @@ def shells_of(mesh: trimesh.Trimesh) -> tuple[list[trimesh.Trimesh], list[str]]:
     for shell in twisted:
         trimesh.repair.fix_winding(shell)
     return shells, ["turned faces so that neighbours face the same side"] if twisted else []
-
-
-def closed(shells: list[trimesh.Trimesh]) -> tuple[list[trimesh.Trimesh], list[str]]:
-    """Each shell with its holes closed by fans, as far as that goes."""
-    n_open = sum(n_open_edges(shell) for shell in shells)
-    if not n_open:
-        return shells, []
-    whole = [shell.copy() for shell in shells]
-    for shell in whole:
-        trimesh.repair.fill_holes(shell, use_fan=True)
-    before_m2, after_m2 = (sum(float(shell.area) for shell in some) for some in (shells, whole))
-    return whole, [f"closed holes along {n_open} open edges, {1.0 - before_m2 / after_m2:.2%} of the surface"]
 
 
 def joined(shells: list[trimesh.Trimesh]) -> tuple[list[trimesh.Trimesh], list[str]]:
@@ -118,10 +106,8 @@ def uncrossed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def volume_m3(shells: list[trimesh.Trimesh]) -> float:
-    """Signed volume, of an open mesh as seen from the middle of its bounding box."""
-    triangles = np.concatenate([shell.triangles for shell in shells])
-    centred = triangles - (triangles.min(axis=(0, 1)) + triangles.max(axis=(0, 1))) / 2
-    return float(np.linalg.det(centred).sum() / 6.0)
+    """Signed volume that closed shells bound."""
+    return float(sum(shell.volume for shell in shells))
 
 
 def n_open_edges(mesh: trimesh.Trimesh) -> int:
