@@ -18,7 +18,8 @@ from jaxtyping import Float
 from objects.catalogue import MeshShape
 from objects.errors import MeshError
 from objects.mesh_holes import Closing, closed
-from objects.mesh_repair import crossed_edges, joined, n_open_edges, shells_of, simplified, uncrossed, volume_m3, welded
+from objects.mesh_repair import crossed_edges, joined, n_open_edges, simplified, uncrossed, volume_m3, welded
+from objects.mesh_shells import shells_of
 
 # What trimesh reads by itself. COLLADA (.dae) and 3MF would need pycollada and lxml; glTF with files beside it would change unseen.
 EXTENSIONS = (".glb", ".obj", ".off", ".ply", ".stl")
@@ -56,7 +57,7 @@ def user_mesh(object_id: str, shape: MeshShape) -> UserMesh:
     mesh = trimesh.Trimesh(vertices * shape.scale, faces, process=False)
     check_extents(object_id, mesh.extents)
     mesh, notes = welded(mesh)
-    shells, turning = shells_of(mesh)
+    shells, parting = shells_of(mesh)
     if len(shells) > MAX_SHELLS:
         raise MeshError(f"{what} falls into {len(shells)} pieces, must be at most {MAX_SHELLS}: is it a scan that was never joined?")
     closing = closed(shells)
@@ -72,7 +73,7 @@ def user_mesh(object_id: str, shape: MeshShape) -> UserMesh:
     if len(mesh.faces) > MAX_FACES:
         raise MeshError(f"{what} has {len(mesh.faces)} faces after repair, must be at most {MAX_FACES}: set max_faces = 5000, say")
     mesh, cutting = _uncrossed(what, mesh)
-    notes = [*notes, *turning, *closing.notes, *joining, *cutting]
+    notes = [*notes, *parting, *closing.notes, *joining, *cutting]
     if notes:
         notes.append(f"volume {in_file} in the file, {float(mesh.volume) * 1e6:.4g} cm3 now")
     mesh.apply_translation(-mesh.bounds.mean(axis=0))

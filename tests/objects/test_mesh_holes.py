@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from objects.catalogue import MeshShape
-from objects.errors import MeshError
 from objects.user_mesh import user_mesh
-from tests.objects.shapes import bumpy_ball
-
-FORMATS = ("stl", "ply", "obj")
+from tests.objects.shapes import agreed, bumpy_ball
 
 
 def ball(subdivisions: int = 3) -> trimesh.Trimesh:
@@ -32,29 +28,6 @@ def box(subdivisions: int = 0) -> trimesh.Trimesh:
 
 def without(mesh: trimesh.Trimesh, faces: list[int]) -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.vertices, np.delete(mesh.faces, faces, axis=0), process=False)
-
-
-def outcome(mesh: trimesh.Trimesh, suffix: str, seed: int = 0) -> float | str:
-    """The volume in cm3, or why not, of a file of the mesh with its faces in random order."""
-    rng = np.random.default_rng(seed)
-    faces = np.array([np.roll(face, rng.integers(3)) for face in mesh.faces[rng.permutation(len(mesh.faces))]])
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"own.{suffix}"
-        trimesh.Trimesh(mesh.vertices, faces, process=False).export(path)
-        try:
-            return float(user_mesh("own", MeshShape(path)).mesh.volume) * 1e6
-        except MeshError as error:
-            return str(error).replace(str(path), "")
-
-
-def agreed(mesh: trimesh.Trimesh, n_orders: int = 2) -> float | str:
-    """The outcome that all formats and orders come to."""
-    found = [outcome(mesh, suffix, seed) for suffix in FORMATS for seed in range(n_orders)]
-    if isinstance(found[0], str):
-        assert all(isinstance(one, str) and one.split(",")[0] == found[0].split(",")[0] for one in found), found
-    else:
-        assert found == pytest.approx([found[0]] * len(found), rel=1e-4)  # STL and PLY hold single precision
-    return found[0]
 
 
 SOLIDS = {

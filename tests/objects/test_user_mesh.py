@@ -117,7 +117,8 @@ def test_a_sealed_void_is_filled_and_told(tmp_path: Path) -> None:
     void.invert()
     solid = solid_of_file(trimesh.util.concatenate([box(), void]), tmp_path)
     assert solid.mesh.volume == pytest.approx(BOX_M3, rel=1e-5)
-    assert solid.notes == ("filled 1 sealed void", "volume 183 cm3 in the file, 210 cm3 now")
+    filled = "filled 1 sealed void of 27 cm3, so that its inertia is that of a solid"
+    assert solid.notes == (filled, "volume 183 cm3 in the file, 210 cm3 now")
 
 
 def test_a_body_that_runs_through_itself_becomes_one_or_is_refused_with_both_volumes(tmp_path: Path) -> None:
