@@ -44,8 +44,9 @@ def joined(shells: list[trimesh.Trimesh]) -> tuple[list[trimesh.Trimesh], list[s
     """The bodies that closed shells bound once those that overlap or touch are one."""
     notes: list[str] = []
     solids, voids_m3 = [], []
-    least_m3 = _MIN_SHELL_SHARE * max(abs(shell.volume) for shell in shells)
-    shells = [shell for shell in shells if abs(shell.volume) > least_m3]  # manifold3d refuses a loose face and its cap, and all with it
+    sizes_m3 = [abs(volume_m3([shell])) for shell in shells]
+    # manifold3d refuses a loose face with its cap, and all other bodies with it.
+    shells = [shell for shell, size_m3 in zip(shells, sizes_m3, strict=True) if size_m3 > _MIN_SHELL_SHARE * max(sizes_m3)]
     for k, shell in enumerate(shells):
         if shell.volume < 0.0:
             # What lies within another adds nothing to the union, so that only the note depends on this.
@@ -103,8 +104,9 @@ def uncrossed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def volume_m3(shells: list[trimesh.Trimesh]) -> float:
-    """Signed volume that closed shells bound."""
-    return float(sum(shell.volume for shell in shells))
+    """Signed volume that closed shells bound; trimesh's own warns where it is nothing."""
+    triangles = np.concatenate([shell.triangles for shell in shells])
+    return float(np.linalg.det(triangles - triangles.mean(axis=(0, 1))).sum() / 6.0)
 
 
 def n_open_edges(mesh: trimesh.Trimesh) -> int:
