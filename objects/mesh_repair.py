@@ -1,7 +1,7 @@
 """Repairs of triangle meshes by trimesh and manifold3d, each with a note of what it did; user_mesh.py decides which are asked for.
 
-A hole is closed by a fan (trimesh), bodies that overlap are joined and faces saved by exact booleans (manifold3d). The one thing of our own
-is the test whether a mesh runs through itself: manifold3d takes it for granted that a mesh does not.
+Shells are mesh_shells.py's, holes mesh_holes.py's. Bodies that overlap are joined and faces saved by exact booleans (manifold3d). Of our
+own is the test whether a mesh runs through itself: manifold3d takes it for granted that a mesh does not.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ WELD_DIGITS = 5
 SIMPLIFY_M = (2e-5, 5e-5, 1e-4, 2e-4, 3e-4, 5e-4)
 # A crossing counts where an edge passes a face by more than a micrometre: less is rounding where two parts touch.
 _CROSSING_M = 1e-6
+_MIN_SHELL_SHARE = 1e-9  # a shell of less of the volume of the largest is flat
 _EDGES_AT_ONCE = 512
 SLABS = (2, 3, 4, 6)  # along each axis, of a mesh that is taken apart where it runs through itself
 
@@ -39,48 +40,33 @@ def welded(mesh: trimesh.Trimesh) -> tuple[trimesh.Trimesh, list[str]]:
     return seamless, [f"welded vertices within 0.01 mm, which closed {n_open - n_left} of {n_open} open edges"]
 
 
-def shells_of(mesh: trimesh.Trimesh) -> tuple[list[trimesh.Trimesh], list[str]]:
-    """The connected surfaces of a mesh, the faces of each wound alike."""
-    shells = [mesh] if mesh.body_count == 1 else list(mesh.split(only_watertight=False))
-    twisted = [shell for shell in shells if not shell.is_winding_consistent]
-    for shell in twisted:
-        trimesh.repair.fix_winding(shell)
-    return shells, ["turned faces so that neighbours face the same side"] if twisted else []
-
-
-def closed(shells: list[trimesh.Trimesh]) -> tuple[list[trimesh.Trimesh], list[str]]:
-    """Each shell with its holes closed by fans, as far as that goes."""
-    n_open = sum(n_open_edges(shell) for shell in shells)
-    if not n_open:
-        return shells, []
-    whole = [shell.copy() for shell in shells]
-    for shell in whole:
-        trimesh.repair.fill_holes(shell, use_fan=True)
-    before_m2, after_m2 = (sum(float(shell.area) for shell in some) for some in (shells, whole))
-    return whole, [f"closed holes along {n_open} open edges, {1.0 - before_m2 / after_m2:.2%} of the surface"]
-
-
 def joined(shells: list[trimesh.Trimesh]) -> tuple[list[trimesh.Trimesh], list[str]]:
     """The bodies that closed shells bound once those that overlap or touch are one."""
     notes: list[str] = []
-    solids, n_voids = [], 0
+    solids, voids_m3 = [], []
+    sizes_m3 = [abs(volume_m3([shell])) for shell in shells]
+    # manifold3d refuses a loose face with its cap, and all other bodies with it.
+    shells = [shell for shell, size_m3 in zip(shells, sizes_m3, strict=True) if size_m3 > _MIN_SHELL_SHARE * max(sizes_m3)]
     for k, shell in enumerate(shells):
         if shell.volume < 0.0:
+            # What lies within another adds nothing to the union, so that only the note depends on this.
             if any(_lies_within(shell, other) for j, other in enumerate(shells) if j != k and other.volume > 0.0):
-                n_voids += 1
-                continue
+                voids_m3.append(-float(shell.volume))
+            else:
+                notes = ["turned right side out"]
             shell = shell.copy()
             shell.invert()
-            notes = ["turned right side out"]
         solids.append(shell)
-    if n_voids:
-        notes.append(f"filled {n_voids} sealed void{'s' if n_voids > 1 else ''}")
+    if voids_m3:
+        several, cm3 = "s" if len(voids_m3) > 1 else "", sum(voids_m3) * 1e6
+        notes.append(f"filled {len(voids_m3)} sealed void{several} of {cm3:.4g} cm3, so that its inertia is that of a solid")
     if len(solids) <= 1:
         return solids, notes
     union = manifold3d.Manifold.batch_boolean([to_manifold(solid) for solid in solids], manifold3d.OpType.Add)
     bodies = [body for body in map(from_manifold, union.decompose()) if body.volume > 0.0]
-    if len(bodies) < len(solids):
-        notes.append(f"joined {len(solids)} bodies that overlap or touch into {len(bodies)}")
+    n_solids = len(solids) - len(voids_m3)
+    if len(bodies) < n_solids:
+        notes.append(f"joined {n_solids} bodies that overlap or touch into {len(bodies)}")
     return bodies, notes
 
 
@@ -118,10 +104,9 @@ def uncrossed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def volume_m3(shells: list[trimesh.Trimesh]) -> float:
-    """Signed volume, of an open mesh as seen from the middle of its bounding box."""
+    """Signed volume that closed shells bound; trimesh's own warns where it is nothing."""
     triangles = np.concatenate([shell.triangles for shell in shells])
-    centred = triangles - (triangles.min(axis=(0, 1)) + triangles.max(axis=(0, 1))) / 2
-    return float(np.linalg.det(centred).sum() / 6.0)
+    return float(np.linalg.det(triangles - triangles.mean(axis=(0, 1))).sum() / 6.0)
 
 
 def n_open_edges(mesh: trimesh.Trimesh) -> int:
@@ -184,8 +169,10 @@ def from_manifold(solid: Any) -> trimesh.Trimesh:
 
 
 def _lies_within(shell: trimesh.Trimesh, other: trimesh.Trimesh) -> bool:
-    """Whether a shell is inside another: the other winds round its first vertex (solid angle of Van Oosterom and Strackee, 1983)."""
-    a, b, c = np.moveaxis(other.triangles - shell.vertices[0], 1, 0)
+    """Whether a shell inside out is in another, which winds round a point in it then (solid angle of Van Oosterom and Strackee, 1983)."""
+    face = int(np.argmax(shell.area_faces))
+    point = shell.triangles_center[face] + _CROSSING_M * shell.face_normals[face]
+    a, b, c = np.moveaxis(other.triangles - point, 1, 0)
     la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
     dots = [np.einsum("ij,ij->i", p, q) * length for p, q, length in ((a, b, lc), (b, c, la), (c, a, lb))]
     angles = 2.0 * np.arctan2(np.einsum("ij,ij->i", a, np.cross(b, c)), la * lb * lc + dots[0] + dots[1] + dots[2])

@@ -1,7 +1,8 @@
-"""The mesh file that a user brings as one closed body in metres, or one line that says why not; see mesh_repair.py for each repair.
+"""The mesh file that a user brings as one closed body in metres, or one line that says why not; mesh_repair.py has each repair.
 
-Nothing is changed silently: every change is a note, and where a change is a guess (a hole closed, a fold cut away) the volume may move by
-MAX_VOLUME_CHANGE at most.
+Nothing is changed silently: every change is a note. Where a change is a guess (a hole closed, a fold cut away, faces saved) the volume may
+move by MAX_VOLUME_CHANGE at most. Two are no guess and have no bound: what overlapping bodies have in common counts once, and a sealed void
+is filled: nothing touches its walls, the mass is the catalogue's, and the inertia is that of a solid.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ from jaxtyping import Float
 
 from objects.catalogue import MeshShape
 from objects.errors import MeshError
-from objects.mesh_repair import closed, crossed_edges, joined, n_open_edges, shells_of, simplified, uncrossed, volume_m3, welded
+from objects.mesh_holes import Closing, closed
+from objects.mesh_repair import crossed_edges, joined, n_open_edges, simplified, uncrossed, volume_m3, welded
+from objects.mesh_shells import shells_of
 
 # What trimesh reads by itself. COLLADA (.dae) and 3MF would need pycollada and lxml; glTF with files beside it would change unseen.
 EXTENSIONS = (".glb", ".obj", ".off", ".ply", ".stl")
@@ -54,25 +57,25 @@ def user_mesh(object_id: str, shape: MeshShape) -> UserMesh:
     mesh = trimesh.Trimesh(vertices * shape.scale, faces, process=False)
     check_extents(object_id, mesh.extents)
     mesh, notes = welded(mesh)
-    shells, turning = shells_of(mesh)
+    shells, parting = shells_of(mesh)
     if len(shells) > MAX_SHELLS:
         raise MeshError(f"{what} falls into {len(shells)} pieces, must be at most {MAX_SHELLS}: is it a scan that was never joined?")
-    before_m3 = volume_m3(shells)
-    shells, closing = closed(shells)
-    if n_open := sum(map(n_open_edges, shells)):
+    closing = closed(shells)
+    if closing.why_not:
+        raise MeshError(f"{what} is not watertight: {closing.why_not}; no cap closes it safely")
+    if n_open := sum(map(n_open_edges, closing.shells)):
         raise MeshError(f"{what} is not watertight: {n_open} edges without exactly two faces, must be 0; no repair closes it safely")
-    if closing:
-        _check_volume(what, "closing its holes", before_m3, volume_m3(shells))
-    mesh, joining = _one_body(what, shells)
+    in_file = "unknown" if closing.notes else f"{abs(volume_m3(shells)) * 1e6:.4g} cm3"
+    mesh, joining = _one_body(what, closing.shells)
+    _check_doubt(what, closing, float(mesh.volume))
     if shape.max_faces is not None and len(mesh.faces) > shape.max_faces:
         mesh, joining = _simplified(what, mesh, shape.max_faces, joining)
     if len(mesh.faces) > MAX_FACES:
         raise MeshError(f"{what} has {len(mesh.faces)} faces after repair, must be at most {MAX_FACES}: set max_faces = 5000, say")
     mesh, cutting = _uncrossed(what, mesh)
-    notes = [*notes, *turning, *closing, *joining, *cutting]
+    notes = [*notes, *parting, *closing.notes, *joining, *cutting]
     if notes:
-        after_m3 = float(mesh.volume)
-        notes.append(f"volume {abs(before_m3) * 1e6:.4g} cm3 in the file, {after_m3 * 1e6:.4g} cm3 now")
+        notes.append(f"volume {in_file} in the file, {float(mesh.volume) * 1e6:.4g} cm3 now")
     mesh.apply_translation(-mesh.bounds.mean(axis=0))
     return UserMesh(mesh, tuple(notes))
 
@@ -134,6 +137,14 @@ def _one_body(what: str, shells: list[trimesh.Trimesh]) -> tuple[trimesh.Trimesh
     if n_crumbs := len(bodies) - 1:
         notes.append(f"left out {n_crumbs} crumbs with {1.0 - share.max():.3%} of the volume")
     return large[0], notes
+
+
+def _check_doubt(what: str, closing: Closing, volume_m3: float) -> None:
+    if closing.doubt_m3 > MAX_VOLUME_CHANGE * volume_m3:
+        raise MeshError(
+            f"{what} is not watertight: {closing.notes[0].removeprefix('closed ')}, may have held {closing.doubt_m3 * 1e6:.4g} cm3, must be"
+            f" at most {MAX_VOLUME_CHANGE:.0%} of the {volume_m3 * 1e6:.4g} cm3 within flat caps"
+        )
 
 
 def _simplified(what: str, mesh: trimesh.Trimesh, max_faces: int, notes: list[str]) -> tuple[trimesh.Trimesh, list[str]]:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 import numpy as np
+import pytest
 import trimesh
 
 from objects.catalogue import CanShape, CuboidShape, MeshShape, MugShape, ObjectSpec, Shape
+from objects.errors import MeshError
+from objects.user_mesh import user_mesh
 from tables.vocabulary import Category, Symmetry
 
 MUG_SHAPE = MugShape(
     diameter_m=0.082, height_m=0.095, wall_m=0.0045, base_m=0.007, handle_reach_m=0.036, handle_height_m=0.070,
     handle_thickness_m=0.010, handle_width_m=0.014, base_diameter_m=0.082,
 )  # fmt: skip
+
+FORMATS = ("stl", "ply", "obj")
 
 _CATEGORY = {CanShape: Category.CAN, MugShape: Category.MUG, CuboidShape: Category.CUBOID, MeshShape: Category.MESH}
 _SYMMETRY = {CanShape: Symmetry.REVOLUTION_Z, MugShape: Symmetry.NONE, CuboidShape: Symmetry.BOX, MeshShape: Symmetry.NONE}
@@ -46,3 +52,26 @@ def bumpy_ball(subdivisions: int) -> trimesh.Trimesh:
     ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.03)
     ball.vertices *= np.random.default_rng(0).uniform(0.9, 1.1, (len(ball.vertices), 1))
     return ball
+
+
+def outcome(mesh: trimesh.Trimesh, suffix: str, seed: int = 0) -> float | str:
+    """The volume in cm3, or why not, of a file of the mesh with its faces in random order."""
+    rng = np.random.default_rng(seed)
+    faces = np.array([np.roll(face, rng.integers(3)) for face in mesh.faces[rng.permutation(len(mesh.faces))]])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"own.{suffix}"
+        trimesh.Trimesh(mesh.vertices, faces, process=False).export(path)
+        try:
+            return float(user_mesh("own", MeshShape(path)).mesh.volume) * 1e6
+        except MeshError as error:
+            return str(error).replace(str(path), "")
+
+
+def agreed(mesh: trimesh.Trimesh, n_orders: int = 2) -> float | str:
+    """The outcome that all formats and orders come to."""
+    found = [outcome(mesh, suffix, seed) for suffix in FORMATS for seed in range(n_orders)]
+    if isinstance(found[0], str):
+        assert all(isinstance(one, str) and one.split(",")[0] == found[0].split(",")[0] for one in found), found
+    else:
+        assert found == pytest.approx([found[0]] * len(found), rel=1e-4)  # STL and PLY hold single precision
+    return found[0]
