@@ -23,7 +23,7 @@ from tables.files import file_sha256
 
 _LOOKS = (f"reports/site/{path.name}" for path in (Path(__file__).parent.parent / "reports" / "site").glob("*.[hcj]*") if path.is_file())
 FILMS_CODE_VERSION = source_version("pipelines/pictures", "reports/sample_films.py")
-SITE_CODE_VERSION = source_version("reports", "splits/markdown.py", *sorted(_LOOKS))
+SITE_CODE_VERSION = source_version("reports", "splits/markdown.py", "splits/commands.py", "splits/own.py", *sorted(_LOOKS))
 
 
 def _product(benchmark: Benchmark, tier: str) -> FilesProduct:

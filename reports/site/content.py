@@ -87,11 +87,12 @@ def browsed(release: Release, seed: int, always: frozenset[str]) -> pl.DataFrame
     return frame.sort("candidate_id")
 
 
-def browser_data(frame: pl.DataFrame, films: Mapping[str, list[str]]) -> dict[str, Any]:
+def browser_data(frame: pl.DataFrame, films: Mapping[str, list[str]], command: str) -> dict[str, Any]:
     """Candidates as the script reads them: text columns as numbers into lists of words, errors in tenths of millimetres.
 
     Args:
         films: kinds of files by candidate id.
+        command: what makes a candidate again, `ID` in place of its id.
     """
     words: dict[str, list[str]] = {}
     columns: dict[str, list[int | None]] = {}
@@ -105,6 +106,7 @@ def browser_data(frame: pl.DataFrame, films: Mapping[str, list[str]]) -> dict[st
         "columns": {**columns, "n_obstacles": frame["n_obstacles"].to_list()},
         "errors": [None if value is None else round(1e4 * value) for value in errors],
         "films": films,
+        "command": command,
     }
 
 

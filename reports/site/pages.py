@@ -15,14 +15,17 @@ from reports.kinds import KINDS
 from reports.ranking import KS, TASK_TITLE
 from reports.site.content import browsed, browser_data, ladder, objects, scenes
 from reports.site.rendering import ASSETS, asset, markdown_html, page
+from splits.commands import ANY_ID, make_command, regenerate_command, what_to_put_in
 from splits.manifest import CARD, DATASHEET
 from splits.markdown import MISSING
-from splits.own import name_of
+from splits.own import LICENCE_OF_OWN, name_of, notice_of
 from splits.provenance import is_own
 from splits.release_reader import Release
+from tables.schemas import HEAVY_TABLES
 from tables.vocabulary import ExecStatus, PlanStatus, Split
 
 FILM_KINDS = ("gif", "png", "mcap")
+_FILM_FLAGS = "--mcap out.mcap --filmstrip out.png --gif out.gif"
 _MENU = (
     ("Results", "index.html"),
     ("Objects", "objects.html"),
@@ -32,6 +35,7 @@ _MENU = (
     ("Data card", "card.html"),
     ("Datasheet", "datasheet.html"),
 )
+_OF_RELEASE = ("card.html", "datasheet.html")
 _FILTERS = (
     ("object_id", "object"),
     ("n_obstacles", "obstacles"),
@@ -76,7 +80,7 @@ class Site:
         files |= front
         files |= {f"films/{name}.{kind}": (self.films / f"{name}.{kind}").read_bytes() for name, kinds in films.items() for kind in kinds}
         frame = browsed(self.release, int(self.release.manifest.provenance.get("recipe_seed", "42")), frozenset(films))
-        data = json.dumps(browser_data(frame, films), separators=(",", ":"), sort_keys=True)
+        data = json.dumps(browser_data(frame, films, self._command(ANY_ID)), separators=(",", ":"), sort_keys=True)
         files["candidates.js"] = f"window.CANDIDATES={data};\n".encode()
         pages = {
             "index.html": self._index(texts, set(pictures), frame, front),
@@ -92,8 +96,20 @@ class Site:
 
     def _page(self, template: str, title: str, here: str, **values: Any) -> str:
         manifest = self.release.manifest
-        name, version = name_of(manifest.provenance), "" if is_own(manifest.provenance) else manifest.version
-        site = {"name": name, "tier": manifest.tier, "version": version, "release_hash": manifest.release_hash, "menu": _MENU}
+        own = is_own(manifest.provenance)
+        site = {
+            "name": name_of(manifest.provenance),
+            "tier": manifest.tier,
+            "version": "" if own else manifest.version,
+            "release_hash": manifest.release_hash,
+            "menu": _MENU,
+            "own": own,
+            "notice": markdown_html("\n".join(notice_of(manifest.provenance)), ()),
+            "licence": LICENCE_OF_OWN if own else manifest.licence,
+            "put_in": what_to_put_in(manifest.provenance, manifest.tier),
+        }
+        # Card and datasheet bring the notice themselves.
+        values = {"says_notice": here in _OF_RELEASE, **values}
         return page(template, title=title, here=here, root="../" * here.count("/"), site=site, **values)
 
     def _reports(self) -> dict[str, str]:
@@ -112,7 +128,7 @@ class Site:
 
     def _front(self) -> dict[str, bytes]:
         """The pictures of the README, on the site of the release that they are of."""
-        if self.release.manifest.tier != FRONT_TIER:
+        if self.release.manifest.tier != FRONT_TIER or is_own(self.release.manifest.provenance):
             return {}
         return {f"pictures/{name}.png": (PICTURES / f"{name}.png").read_bytes() for name in FRONT_PICTURES}
 
@@ -147,7 +163,7 @@ class Site:
             front=front,
             reports=[(_title(text, name), f"reports/{name}.html") for name, text in texts.items()],
             missing=[name.replace("_", " ") for name in KINDS if name not in texts],
-            example=example,
+            command=self._command(example),
         )
 
     def _metrics(self) -> dict[str, float]:
@@ -236,7 +252,17 @@ class Site:
             for status in ExecStatus
             if f"gallery-{status.value}.png" in pictures
         ]
-        return self._page("films.html", "Films", "films.html", films=listed, strips=strips, front=front)
+        return self._page("films.html", "Films", "films.html", films=listed, strips=strips, front=front, **self._film_commands())
+
+    def _command(self, name: str) -> str:
+        """What makes a candidate again, as files to look at."""
+        return regenerate_command(name, self.release.manifest.provenance, self.release.manifest.tier, _FILM_FLAGS)
+
+    def _film_commands(self) -> dict[str, str]:
+        """What makes a film of any candidate, and those that the page would show."""
+        lacking = [target for name in self.release.left_out if name in ("plans", "scene_points") and (target := HEAVY_TABLES[name])]
+        manifest = self.release.manifest
+        return {"command": self._command(ANY_ID), "make_films": make_command([*lacking, "films"], manifest.provenance, manifest.tier)}
 
     def _candidates(self, frame: pl.DataFrame) -> str:
         values = {name: [str(value) for value in sorted(frame[name].drop_nulls().unique().to_list())] for name, _ in _FILTERS}

@@ -86,7 +86,7 @@ function browse(data) {
     button.textContent = data.ids[k];
     button.addEventListener("click", () => {
       command.hidden = false;
-      command.firstElementChild.textContent = `python -m pipelines.regenerate ${data.ids[k]} --mcap out.mcap --filmstrip out.png --gif out.gif`;
+      command.querySelector("code").textContent = data.command.replace("ID", data.ids[k]);
       command.scrollIntoView({ block: "nearest" });
     });
     return button;
@@ -104,7 +104,8 @@ function browse(data) {
   for (const th of document.querySelectorAll("#browser th")) {
     if (th.dataset.column !== "film") withButton(th, (sign) => { sorted = { name: th.dataset.column, sign }; filter(); });
   }
-  form.addEventListener("input", filter);
+  // A select that a script or an older browser sets tells only of a change.
+  for (const kind of ["input", "change"]) form.addEventListener(kind, filter);
   form.addEventListener("submit", (event) => event.preventDefault());
   form.addEventListener("reset", () => setTimeout(filter));
   document.getElementById("before").addEventListener("click", () => { first -= PAGE; show(); });

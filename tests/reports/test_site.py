@@ -15,10 +15,13 @@ import pytest
 from reports.kinds import KINDS
 from reports.site.__main__ import main
 from reports.site.content import MAX_CANDIDATES, browsed, browser_data
+from reports.site.pages import Site
 from reports.site.rendering import markdown_html
 from reports.sources import Sources
+from splits.provenance import own_provenance
 from splits.release import write_release
 from splits.release_reader import Release
+from tables.vocabulary import Allocation
 from tests.model.synthetic_release import TOLERANCES
 from tests.splits.damage import PROVENANCE
 
@@ -82,6 +85,25 @@ def test_the_ladder_shows_the_numbers_of_the_report(site: Path, release: Release
     assert "No ranker was scored" in index
 
 
+def test_a_site_of_one_s_own_claims_nothing_of_the_benchmark(release_tables: dict[str, pa.Table], tmp_path: Path) -> None:
+    """Neither its name, licence, pictures and figures nor its objects: every command names the catalogue."""
+    provenance = {**PROVENANCE, **own_provenance("my_objects.toml", "my_recipe.toml", Allocation.APPENDED)}
+    write_release(release_tables, tmp_path / "full", "full", "0.1.0", provenance, TOLERANCES)
+    own, reports = Release.open(tmp_path / "full"), tmp_path / "reports"
+    KINDS["success_at_k"].make(Sources(own, reports)).write(reports)
+    files = {name: content.decode() for name, content in Site(own, reports, reports / "films").files().items() if not name.endswith(".png")}
+    pages = {name: text for name, text in files.items() if name.endswith(".html")}
+    for name, text in pages.items():
+        assert text.count("This is not the PlaceBench benchmark") == 1, name
+        assert "CC-BY" not in text, name
+        assert "to be stated by whoever publishes it" in text, name
+    assert "open benchmark" not in pages["index.html"]
+    assert not [name for name in pages if "pictures/" in pages[name]]
+    shown = [files[name] for name in ("candidates.js", "index.html", "films.html")]
+    named = "--data data/own/my_objects --catalogue my_objects.toml"
+    assert [(text.count("pipelines.regenerate"), text.count(named)) for text in shown] == [(1, 1)] * 3
+
+
 def test_a_sample_is_by_hash_and_keeps_what_was_filmed(release: Release, monkeypatch: pytest.MonkeyPatch) -> None:
     assert release.candidates.height <= MAX_CANDIDATES
     monkeypatch.setattr("reports.site.content.MAX_CANDIDATES", 50)
@@ -94,7 +116,7 @@ def test_a_sample_is_by_hash_and_keeps_what_was_filmed(release: Release, monkeyp
 
 def test_browser_data_decodes_to_the_labels(release: Release) -> None:
     frame = browsed(release, 42, frozenset())
-    data = browser_data(frame, {})
+    data = browser_data(frame, {}, "make ID")
     statuses = [None if k is None else data["words"]["exec_status"][k] for k in data["columns"]["exec_status"]]
     assert statuses == frame["exec_status"].to_list()
 
@@ -158,6 +180,7 @@ def test_dark_is_dark(site: Path, browser: Any) -> None:
 
 
 def test_the_filter_filters(site: Path, browser: Any, release: Release) -> None:
+    select = pytest.importorskip("selenium.webdriver.support.select")
     frame = release.candidates
     browser.get((site / "candidates.html").as_uri())
     assert _found(browser) == frame.height
@@ -172,6 +195,12 @@ def test_the_filter_filters(site: Path, browser: Any, release: Release) -> None:
     assert _found(browser) == ((frame["exec_status"] == status) & (frame["n_obstacles"] == 1)).sum()
     cells = browser.execute_script("return [...document.querySelectorAll('#browser tbody tr')].map(r => r.cells[5].textContent)")
     assert set(cells) <= {status}
+    browser.find_element("css selector", "#filters button").click()
+    # As other programs choose, which tell of a change alone, and as people do.
+    browser.execute_script(choose.replace("'input'", "'change'"), "exec_status", status)
+    assert _found(browser) == (frame["exec_status"] == status).sum()
+    select.Select(browser.find_element("name", "n_obstacles")).select_by_visible_text("1")
+    assert _found(browser) == ((frame["exec_status"] == status) & (frame["n_obstacles"] == 1)).sum()
     browser.find_element("css selector", "#filters button").click()
     browser.find_element("name", "film").click()
     assert _found(browser) == 2
@@ -192,4 +221,5 @@ def test_tables_sort_by_keyboard_and_an_id_gives_its_command(site: Path, browser
     browser.get((site / "candidates.html").as_uri())
     first = browser.find_element("css selector", "#browser button.id")
     first.send_keys("\ue007")
-    assert f"pipelines.regenerate {first.text} " in browser.find_element("id", "command").text
+    shown = browser.find_element("id", "command").text
+    assert shown.startswith(f"python -m pipelines.regenerate {first.text} --release data/release/full --mcap")
