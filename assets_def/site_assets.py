@@ -16,7 +16,8 @@ from assets_def.steps import Step
 from reports.front_page import PICTURES
 from reports.sample_films import write_films
 from reports.site.__main__ import write_site
-from reports.site.pages import FILM_KINDS, Site
+from reports.site.films import FILM_KINDS
+from reports.site.pages import Site
 from reports.sources import Sources
 from splits.release_reader import Release
 from tables.files import file_sha256
