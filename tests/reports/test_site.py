@@ -9,12 +9,16 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 import pyarrow as pa
 import pytest
 
-from reports.kinds import KINDS
+from reports.kinds import KINDS, N_FILMS
+from reports.load import Task
+from reports.paper import RANKING
 from reports.site.__main__ import main
 from reports.site.content import MAX_CANDIDATES, browsed, browser_data
+from reports.site.films import film_links
 from reports.site.pages import Site
 from reports.site.rendering import markdown_html
 from reports.sources import Sources
@@ -81,7 +85,10 @@ def test_the_ladder_shows_the_numbers_of_the_report(site: Path, release: Release
     report = KINDS["success_at_k"].make(Sources(release, site / "nothing"))
     low, value, high = (100 * report.metrics[f"test.joint.ik_only.s1{end}"] for end in ("_low", "", "_high"))
     index = (site / "index.html").read_text(encoding="utf-8")
-    assert f"{value:.1f} <small>[{low:.1f}, {high:.1f}]</small>" in index
+    theirs = RANKING[Task.JOINT, "ik_only"].s1
+    assert re.search(rf"{value:.1f} <small>\[{low:.1f}, {high:.1f}\]</small></td>\s*<td class=\"number\">{theirs:.2f}</td>", index)
+    assert "The oracle knows every label" in index
+    assert "is its network" not in index, "of a policy that no row is of"
     assert "No ranker was scored" in index
 
 
@@ -98,6 +105,7 @@ def test_a_site_of_one_s_own_claims_nothing_of_the_benchmark(release_tables: dic
         assert "CC-BY" not in text, name
         assert "to be stated by whoever publishes it" in text, name
     assert "open benchmark" not in pages["index.html"]
+    assert "paper S1" not in pages["index.html"]
     assert not [name for name in pages if "pictures/" in pages[name]]
     shown = [files[name] for name in ("candidates.js", "index.html", "films.html")]
     named = "--data data/own/my_objects --catalogue my_objects.toml"
@@ -112,6 +120,19 @@ def test_a_sample_is_by_hash_and_keeps_what_was_filmed(release: Release, monkeyp
     assert sample.height == 50
     assert last in set(sample["candidate_id"])
     assert set(browsed(release, 43, frozenset())["candidate_id"]) != set(browsed(release, 42, frozenset())["candidate_id"])
+
+
+def test_what_the_gallery_shows_is_linked(release: Release) -> None:
+    """Of a status whose picture is in the site, as many candidates as the gallery shows, and no others."""
+    status = release.candidates["exec_status"].drop_nulls()[0]
+    path = f"reports/gallery-{status}.png"
+    links = film_links({"full-0000-t0-g00": ["gif"]}, release.candidates, "full", 42, [path, "reports/gallery-title.png"])
+    assert links.pop("full-0000-t0-g00")[0] == ("gif", "films/full-0000-t0-g00.gif")
+    ended_so = release.candidates.filter(release.candidates["exec_status"] == status)["candidate_id"]
+    assert 0 < len(links) <= N_FILMS["full"]
+    assert set(links) <= set(ended_so)
+    assert all(there == [("filmstrip", path)] for there in links.values())
+    assert set(browsed(release, 42, frozenset(links))["candidate_id"]) >= set(links)
 
 
 def test_browser_data_decodes_to_the_labels(release: Release) -> None:
@@ -208,6 +229,39 @@ def test_the_filter_filters(site: Path, browser: Any, release: Release) -> None:
     assert len(links) == 2
     assert all((site / link).is_file() for link in links)
     assert browser.get_log("browser") == []
+
+
+def test_scenes_are_filtered_and_come_by_pages(site: Path, browser: Any, release: Release) -> None:
+    select = pytest.importorskip("selenium.webdriver.support.select")
+    scenes = pl.DataFrame(release.table("scenes"))
+    browser.get((site / "scenes.html").as_uri())
+    rows = "return [...document.querySelectorAll('#rows tbody tr')].filter(r => !r.hidden).map(r => r.cells[arguments[0]].textContent)"
+    assert _found(browser) == scenes.height
+    assert len(browser.execute_script(rows, 0)) == min(100, scenes.height)
+    object_id = str(scenes["object_id"][-1])
+    select.Select(browser.find_element("name", "1")).select_by_visible_text(object_id)
+    assert _found(browser) == (scenes["object_id"].cast(pl.String) == object_id).sum()
+    assert set(browser.execute_script(rows, 1)) == {object_id}
+    browser.find_elements("css selector", "th button")[4].click()
+    assert set(browser.execute_script(rows, 1)) == {object_id}, "sorting keeps the filter"
+    browser.find_element("css selector", ".filters button").click()
+    browser.find_element("name", "0").send_keys("full-0001")
+    assert browser.execute_script(rows, 0) == ["full-0001"]
+    assert browser.get_log("browser") == []
+
+
+def test_a_table_wider_than_its_box_says_so(site: Path, browser: Any) -> None:
+    # Sizes are told after the page was laid out.
+    says = """const tell = arguments[0], box = document.querySelector('.scroll');
+              requestAnimationFrame(() => setTimeout(() => tell(box.classList.contains('overflows')), 50))"""
+    said = []
+    for width in (390, 1600):
+        size = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": False}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        browser.get((site / "objects.html").as_uri())
+        said.append(browser.execute_async_script(says))
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    assert said == [True, False]
 
 
 def test_tables_sort_by_keyboard_and_an_id_gives_its_command(site: Path, browser: Any) -> None:
