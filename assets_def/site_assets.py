@@ -16,14 +16,15 @@ from assets_def.steps import Step
 from reports.front_page import PICTURES
 from reports.sample_films import write_films
 from reports.site.__main__ import write_site
-from reports.site.pages import FILM_KINDS, Site
+from reports.site.films import FILM_KINDS
+from reports.site.pages import Site
 from reports.sources import Sources
 from splits.release_reader import Release
 from tables.files import file_sha256
 
 _LOOKS = (f"reports/site/{path.name}" for path in (Path(__file__).parent.parent / "reports" / "site").glob("*.[hcj]*") if path.is_file())
 FILMS_CODE_VERSION = source_version("pipelines/pictures", "reports/sample_films.py")
-SITE_CODE_VERSION = source_version("reports", "splits/markdown.py", *sorted(_LOOKS))
+SITE_CODE_VERSION = source_version("reports", "splits/markdown.py", "splits/commands.py", "splits/own.py", *sorted(_LOOKS))
 
 
 def _product(benchmark: Benchmark, tier: str) -> FilesProduct:

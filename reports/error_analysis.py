@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +26,7 @@ from reports.metrics import Estimate, proportion
 from reports.policies import FULL_PLANNER, IK_AND_GRIPPER, LEARNED, LOCAL, Policy, ranked
 from reports.ranking import TASK_TITLE
 from reports.report import Report, ReportError
+from splits.commands import regenerate_command
 from splits.markdown import share, table
 from tables.vocabulary import ExecStatus, Split, SplitScheme
 
@@ -87,6 +88,7 @@ def errors_report(
     tier: str,
     seed: int,
     scheme: SplitScheme = SplitScheme.SCENE,
+    provenance: Mapping[str, str] | None = None,
 ) -> Report:
     """Report `errors`, of the test split: of the local ranker, or of the first learned policy that there are predictions of.
 
@@ -97,10 +99,15 @@ def errors_report(
         tier: printed in the title, and in the commands.
         seed: of the hash order.
         scheme: by what scenes are dealt to the splits.
+        provenance: of the release, for the commands; none is the benchmark's.
 
     Raises:
         ReportError: predictions of no learned policy.
     """
+
+    def command(name: str) -> str:
+        return regenerate_command(name, provenance or {}, tier, f"--filmstrip {name}.png")
+
     frame = candidate_frame(tables, seed, scheme).filter(pl.col("split") == Split.TEST.value)
     scores, shown = frame_of(predictions), films or Films()
     learned = {policy: own for policy in LEARNED if (own := prediction_frames(frame, scores, policy.variant))}
@@ -114,7 +121,7 @@ def errors_report(
     counted: list[dict[str, object]] = []
     for task in Task:
         worst = worst_groups(learned[policy][own_seed], policy, task)
-        section, png = _worst_section(worst, task, tier, shown)
+        section, png = _worst_section(worst, task, command, shown)
         blocks += [f"## {TASK_TITLE[task]}: the groups that it gets most wrong", *section]
         figures |= {} if png is None else {f"errors-{task.value}": png}
         rows += [{"task": task.value, "policy": policy.name, "seed": own_seed} | _plain(group) for group in worst.iter_rows(named=True)]
@@ -143,7 +150,7 @@ def _about(policy: Policy, seed: int) -> str:
     )
 
 
-def _worst_section(worst: pl.DataFrame, task: Task, tier: str, films: Films) -> tuple[list[str], bytes | None]:
+def _worst_section(worst: pl.DataFrame, task: Task, command: Callable[[str], str], films: Films) -> tuple[list[str], bytes | None]:
     if worst.is_empty():
         return ["There is none: no group is covered, or the first choice succeeds in every one."], None
     rows = [
@@ -163,8 +170,7 @@ def _worst_section(worst: pl.DataFrame, task: Task, tier: str, films: Films) -> 
         "first choice",
         "success",
     ]
-    command = "python -m pipelines.regenerate {0} --release data/release/{1} --filmstrip {0}.png"
-    commands = "\n".join(command.format(name, tier) for name in worst["first_id"])
+    commands = "\n".join(command(name) for name in worst["first_id"])
     blocks = [table(header, rows, align="llrrrrrlll"), "First choices, to be looked at:", f"```sh\n{commands}\n```"]
     picture, why_not = _films(worst, films)
     if picture is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import polars as pl
@@ -181,17 +182,15 @@ def _gripper_glyph(jaw_m: float, thickness: float = 0.25) -> TriangleMesh:
 
 
 def _films(tables: Mapping[str, pa.Table], release: Decoded, recipe: Recipe, n_films: int) -> dict[str, list[Tile]]:
-    executed = frame_of(tables["candidates"], ["candidate_id", "exec_status"]).filter(pl.col("exec_status").is_not_null())
-    by_status = {status: executed.filter(pl.col("exec_status") == status.value)["candidate_id"].to_list() for status in ExecStatus}
-    return {
-        status.value: [
-            tile
-            for name in sorted(names, key=lambda name: order_key(recipe.seed, "gallery", name))[:n_films]
-            for tile in film(release, name, recipe)
-        ]
-        for status, names in by_status.items()
-        if names
-    }
+    chosen = chosen_executions(frame_of(tables["candidates"], ["candidate_id", "exec_status"]), recipe.seed, n_films)
+    return {status: [tile for name in names for tile in film(release, name, recipe)] for status, names in chosen.items()}
+
+
+def chosen_executions(candidates: pl.DataFrame, seed: int, n_films: int) -> dict[str, list[str]]:
+    """Candidates that the gallery shows, by the execution status that they ended as, the first by the hash of their ids."""
+    by_status = {s.value: candidates.filter(pl.col("exec_status") == s.value)["candidate_id"].to_list() for s in ExecStatus}
+    key = partial(order_key, seed, "gallery")
+    return {status: sorted(names, key=key)[:n_films] for status, names in by_status.items() if names}
 
 
 def film(release: Decoded, candidate_id: str, recipe: Recipe) -> list[Tile]:

@@ -116,7 +116,15 @@ def _errors(sources: Sources) -> Report:
     else:
         films = Films(why_not="; ".join([why_not] if why_not else lacks))
     assert predictions is not None
-    return errors_report(tables, predictions, films, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
+    return errors_report(
+        tables,
+        predictions,
+        films,
+        tier=sources.tier,
+        seed=sources.seed,
+        scheme=sources.scheme,
+        provenance=sources.release.manifest.provenance,
+    )
 
 
 def _repeatability(sources: Sources) -> Report:

@@ -30,6 +30,13 @@ def test_every_command_is_a_target_of_the_makefile(workflow: Path) -> None:
     assert all(call and call.group(1) in targets for call in called), commands
 
 
+def test_the_site_is_rendered_after_everything_that_it_shows() -> None:
+    """Films need tables that the repository leaves out, and the gallery shows films where there are plans."""
+    made = [step["run"].split()[1] for step in steps(WORKFLOWS[0]) if "run" in step]
+    before = [("points", "films"), ("plans", "films"), ("plans", "reports"), ("reports", "site"), ("figures", "site"), ("films", "site")]
+    assert [(first, then) for first, then in before if made.index(first) > made.index(then)] == []
+
+
 @pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda path: path.stem)
 def test_every_action_is_pinned_to_a_release(workflow: Path) -> None:
     actions = [step["uses"] for step in steps(workflow) if "uses" in step]

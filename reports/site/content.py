@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import polars as pl
 
 from pipelines.frames import frame_of
-from reports.policies import ORACLE, PLAN_HEAD_ONLY, POLICIES
+from reports import paper
+from reports.load import Task
+from reports.policies import FULL_PLANNER, LOCAL, ORACLE, PLAN_HEAD_ONLY, POLICIES, RANKER, Policy
 from reports.ranking import KS
 from splits.release_reader import Release
 from tables.identity import order_key
@@ -28,24 +30,48 @@ _BROWSED = (
 )
 
 
+_EXPLAINED = {
+    FULL_PLANNER: "The full-pool planner plans every candidate before it chooses, and knows nothing of what slips",
+    RANKER: "The paper's ranker is its network, trained on these data: it orders by the probability of a plan (p_plan)"
+    " times that of success if it is",
+    PLAN_HEAD_ONLY: "“p_plan alone” is the same network, ordering by the first of the two",
+    LOCAL: "The local ranker is ours: it looks at what the hand of a candidate meets",
+    ORACLE: "The oracle knows every label: no policy can do better",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Rung:
-    """One policy on one task: S_K and its 95 % interval in percent, by K."""
+    """One policy on one task: S_K and its 95 % interval in percent, by K; the S1 that the paper reports of it, if it does."""
 
     label: str
     s: Mapping[int, tuple[float, float, float]]
+    paper_s1: float | None
 
 
-def ladder(metrics: Mapping[str, float], split: str, task: str) -> list[Rung]:
+def ladder(metrics: Mapping[str, float], split: str, task: Task) -> list[Rung]:
     """The policies of report `success_at_k` on a split, from its metrics; those without numbers are left out."""
     rungs = []
     for policy in (*POLICIES, PLAN_HEAD_ONLY, ORACLE):
-        prefix = f"{split}.{task}.{policy.name}"
+        prefix = f"{split}.{task.value}.{policy.name}"
         s = {k: tuple(metrics.get(f"{prefix}.s{k}{end}") for end in ("", "_low", "_high")) for k in KS}
         whole = {k: (100 * a, 100 * b, 100 * c) for k, (a, b, c) in s.items() if a is not None and b is not None and c is not None}
         if len(whole) == len(KS):
-            rungs.append(Rung(policy.label, whole))
+            rungs.append(Rung(policy.label, whole, _paper_s1(policy, task)))
     return rungs
+
+
+def policies_explained(labels: Collection[str]) -> str:
+    """A line on those of some policies whose names do not say what they do; "" for none."""
+    texts = [text for policy, text in _EXPLAINED.items() if policy.label in labels]
+    return " ".join(f"{text}." for text in texts)
+
+
+def _paper_s1(policy: Policy, task: Task) -> float | None:
+    if policy is PLAN_HEAD_ONLY:
+        return paper.PLAN_HEAD_S1[task]
+    theirs = paper.RANKING.get((task, policy.name))
+    return None if theirs is None else theirs.s1
 
 
 def objects(release: Release) -> pl.DataFrame:
@@ -87,11 +113,12 @@ def browsed(release: Release, seed: int, always: frozenset[str]) -> pl.DataFrame
     return frame.sort("candidate_id")
 
 
-def browser_data(frame: pl.DataFrame, films: Mapping[str, list[str]]) -> dict[str, Any]:
+def browser_data(frame: pl.DataFrame, films: Mapping[str, Sequence[tuple[str, str]]], command: str) -> dict[str, Any]:
     """Candidates as the script reads them: text columns as numbers into lists of words, errors in tenths of millimetres.
 
     Args:
-        films: kinds of files by candidate id.
+        films: what is to be seen of a candidate, names and paths in the site, by its id.
+        command: what makes a candidate again, `ID` in place of its id.
     """
     words: dict[str, list[str]] = {}
     columns: dict[str, list[int | None]] = {}
@@ -105,6 +132,7 @@ def browser_data(frame: pl.DataFrame, films: Mapping[str, list[str]]) -> dict[st
         "columns": {**columns, "n_obstacles": frame["n_obstacles"].to_list()},
         "errors": [None if value is None else round(1e4 * value) for value in errors],
         "films": films,
+        "command": command,
     }
 
 

@@ -32,11 +32,69 @@ for (const table of document.querySelectorAll("table.sortable")) {
     const rows = [...table.tBodies[0].rows];
     rows.sort((a, b) => sign * compare(valueOf(a.cells[column]), valueOf(b.cells[column])));
     table.tBodies[0].append(...rows);
+    table.dispatchEvent(new Event("sorted"));
   }));
 }
 
+// Rows come by pages of a hundred. The answer is to be told how many rows there are; show is told the first of a page and the one after its last.
+function pages(show) {
+  const PAGE = 100, [before, place, after] = ["before", "place", "after"].map((id) => document.getElementById(id));
+  let first = 0, n = 0;
+  const turn = (to) => {
+    first = to;
+    const last = Math.min(first + PAGE, n);
+    place.textContent = n ? `${first + 1} to ${last}` : "none";
+    before.disabled = first === 0;
+    after.disabled = last === n;
+    show(first, last);
+  };
+  before.addEventListener("click", () => turn(first - PAGE));
+  after.addEventListener("click", () => turn(first + PAGE));
+  return (found, of, what) => {
+    n = found;
+    document.getElementById("found").textContent = `${found.toLocaleString("en")} of ${of.toLocaleString("en")} ${what}`;
+    turn(0);
+  };
+}
+
+function onFilter(form, filter) {
+  // A select that a script or an older browser sets tells only of a change.
+  for (const kind of ["input", "change"]) form.addEventListener(kind, filter);
+  form.addEventListener("submit", (event) => event.preventDefault());
+  form.addEventListener("reset", () => setTimeout(filter));
+  filter();
+}
+
+for (const form of document.querySelectorAll("form[data-rows]")) {
+  const table = document.getElementById(form.dataset.rows), rows = [...table.tBodies[0].rows];
+  let found = [];
+  const tell = pages((first, last) => {
+    const shown = new Set(found.slice(first, last));
+    for (const row of rows) row.hidden = !shown.has(row);
+  });
+  const filter = () => {
+    const chosen = [...form.elements].filter((field) => field.name && field.value);
+    found = [...table.tBodies[0].rows].filter((row) => chosen.every((field) => {
+      const text = row.cells[Number(field.name)].textContent;
+      return field.type === "search" ? text.includes(field.value) : text === field.value;
+    }));
+    tell(found.length, rows.length, form.dataset.what);
+  };
+  table.addEventListener("sorted", filter);
+  onFilter(form, filter);
+}
+
+// A table that is wider than its box says so.
+const widths = new ResizeObserver((entries) => {
+  for (const { target } of entries) target.parentNode.classList.toggle("overflows", target.offsetWidth > target.parentNode.clientWidth + 1);
+});
+for (const table of document.querySelectorAll(".scroll > table")) widths.observe(table);
+addEventListener("resize", () => {
+  for (const table of document.querySelectorAll(".scroll > table")) { widths.unobserve(table); widths.observe(table); }
+});
+
 function browse(data) {
-  const PAGE = 100, form = document.getElementById("filters"), body = document.querySelector("#browser tbody");
+  const form = document.getElementById("filters"), body = document.querySelector("#browser tbody");
   const command = document.getElementById("command");
   const word = (name, k) => {
     const value = data.columns[name][k];
@@ -47,7 +105,7 @@ function browse(data) {
     error_mm: (k) => (data.errors[k] === null ? "" : (data.errors[k] / 10).toFixed(1)),
   };
   const text = (name, k) => (cell[name] ? cell[name](k) : word(name, k));
-  let found = [], first = 0, sorted = { name: "candidate_id", sign: 1 };
+  let found = [], sorted = { name: "candidate_id", sign: 1 };
 
   function filter() {
     const chosen = Object.fromEntries(new FormData(form));
@@ -56,28 +114,24 @@ function browse(data) {
       (!chosen.id || data.ids[k].includes(chosen.id)) && (!chosen.film || data.films[data.ids[k]]));
     const key = (k) => { const t = text(sorted.name, k); return { text: t, number: sorted.name === "candidate_id" ? NaN : parseFloat(t) }; };
     found.sort((a, b) => sorted.sign * compare(key(a), key(b)) || a - b);
-    first = 0;
-    show();
+    tell(found.length, data.ids.length, "candidates");
   }
 
-  function show() {
-    const names = [...document.querySelectorAll("#browser th")].map((th) => th.dataset.column);
-    body.replaceChildren(...found.slice(first, first + PAGE).map((k) => {
+  const tell = pages((first, last) => {
+    const heads = [...document.querySelectorAll("#browser th")];
+    body.replaceChildren(...found.slice(first, last).map((k) => {
       const row = document.createElement("tr");
-      for (const name of names) {
+      for (const { className, dataset: { column: name } } of heads) {
         const td = row.insertCell();
+        td.className = className;
         if (name === "candidate_id") td.append(idButton(k));
         else if (name === "film") td.append(...filmLinks(data.ids[k]));
-        else td.textContent = text(name, k);
+        // A long status may go on in another line after any of its words.
+        else td.append(...text(name, k).split(/(?<=_)/).flatMap((part, i) => (i ? [document.createElement("wbr"), part] : [part])));
       }
       return row;
     }));
-    const last = Math.min(first + PAGE, found.length);
-    document.getElementById("found").textContent = `${found.length.toLocaleString("en")} of ${data.ids.length.toLocaleString("en")} candidates`;
-    document.getElementById("place").textContent = found.length ? `${first + 1} to ${last}` : "none";
-    document.getElementById("before").disabled = first === 0;
-    document.getElementById("after").disabled = last === found.length;
-  }
+  });
 
   function idButton(k) {
     const button = document.createElement("button");
@@ -86,17 +140,17 @@ function browse(data) {
     button.textContent = data.ids[k];
     button.addEventListener("click", () => {
       command.hidden = false;
-      command.firstElementChild.textContent = `python -m pipelines.regenerate ${data.ids[k]} --mcap out.mcap --filmstrip out.png --gif out.gif`;
+      command.querySelector("code").textContent = data.command.replace("ID", data.ids[k]);
       command.scrollIntoView({ block: "nearest" });
     });
     return button;
   }
 
   function filmLinks(id) {
-    return (data.films[id] ?? []).flatMap((kind) => {
+    return (data.films[id] ?? []).flatMap(([name, path]) => {
       const link = document.createElement("a");
-      link.href = `films/${id}.${kind}`;
-      link.textContent = kind;
+      link.href = path;
+      link.textContent = name;
       return [link, " "];
     });
   }
@@ -104,12 +158,7 @@ function browse(data) {
   for (const th of document.querySelectorAll("#browser th")) {
     if (th.dataset.column !== "film") withButton(th, (sign) => { sorted = { name: th.dataset.column, sign }; filter(); });
   }
-  form.addEventListener("input", filter);
-  form.addEventListener("submit", (event) => event.preventDefault());
-  form.addEventListener("reset", () => setTimeout(filter));
-  document.getElementById("before").addEventListener("click", () => { first -= PAGE; show(); });
-  document.getElementById("after").addEventListener("click", () => { first += PAGE; show(); });
-  filter();
+  onFilter(form, filter);
 }
 
 if (window.CANDIDATES) browse(window.CANDIDATES);
