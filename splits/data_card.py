@@ -136,7 +136,7 @@ def render_card(
         _scenes(frames["scenes"]),
         f"## How to read it\n\n{READING}",
         "## Look at a candidate",
-        examples_section(frames["candidates"], int(facts.get("recipe_seed", "42"))),
+        examples_section(frames["candidates"], int(facts.get("recipe_seed", "42")), is_own=is_own(facts)),
         "## How sure the labels are",
         confidence_section(frames["candidates"], frame_of(tables["attempts"]) if "attempts" in tables else None),
         "## Tables",

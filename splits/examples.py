@@ -14,11 +14,17 @@ _LOOK = """Every candidate can be made again from its id alone, as a film, a fil
 it must be the stored one in every bit:
 
 ```
-python -m pipelines.regenerate ID --release DIR --mcap out.mcap --filmstrip out.png --gif out.gif
-make films RELEASE=DIR      # two of every outcome and category; needs `make points plans RELEASE=DIR` where the release is light
+python -m pipelines.regenerate ID --release DIR{own} --mcap out.mcap --filmstrip out.png --gif out.gif
+make films RELEASE=DIR{own_films}      # two of every outcome and category; needs `make points plans RELEASE=DIR` where the release is light
 ```
 
 One of each outcome, the first by the hash of its id:"""
+
+# Of a catalogue of one's own; DATA is the folder that `make dataset` built it in.
+_OF_OWN = {
+    "own": " --data DATA --catalogue CATALOGUE [--recipe RECIPE]",
+    "own_films": " CATALOGUE=CATALOGUE DATA=DATA [RECIPE=RECIPE]",
+}
 
 
 def chosen_by_outcome(candidates: pl.DataFrame, seed: int, n_each: int, by: Sequence[str] = ()) -> dict[str, list[str]]:
@@ -38,9 +44,10 @@ def chosen_by_outcome(candidates: pl.DataFrame, seed: int, n_each: int, by: Sequ
     return chosen
 
 
-def examples_section(candidates: pl.DataFrame, seed: int) -> str:
-    """How to look at a candidate, and one of every outcome that a release holds."""
+def examples_section(candidates: pl.DataFrame, seed: int, *, is_own: bool) -> str:
+    """How to look at a candidate, and one of every outcome that a release holds; of one's own the commands name its files."""
+    look = _LOOK.format(**(_OF_OWN if is_own else dict.fromkeys(_OF_OWN, "")))
     chosen = chosen_by_outcome(candidates, seed, 1)
     in_order = [status.value for status in (*ExecStatus, *PlanStatus) if status.value in chosen]
     rows = [[f"`{status}`", f"`{name}`"] for status in in_order for name in chosen[status]]
-    return f"{_LOOK}\n\n{table(['outcome', 'candidate'], rows, align='ll')}"
+    return f"{look}\n\n{table(['outcome', 'candidate'], rows, align='ll')}"

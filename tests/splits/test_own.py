@@ -54,6 +54,7 @@ def test_card_and_manifest_name_catalogue_and_recipe(own: Path) -> None:
     card, provenance = (own / "README.md").read_text(), read_manifest(own).provenance
     assert "# Dataset of my_objects.toml, pilot\n" in card
     assert "**This is not the PlaceBench benchmark.**" in card
+    assert "pipelines.regenerate ID --release DIR --data DATA --catalogue CATALOGUE [--recipe RECIPE] --mcap" in card
     for key in (*OWN_KEYS, "catalogue_hash", "recipe_hash"):
         assert f"| `{key}` | `{provenance[key]}` |" in card
 
