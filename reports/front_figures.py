@@ -99,9 +99,9 @@ def chain_figure(numbers: Mapping[str, str]) -> bytes:
     for x in left[1:]:
         _arrow(axes, (x - gap, 2.45), (x - 0.01, 2.45))
     reports = ", ".join(name.replace("_", " ") for name in KINDS if name != "shard_diagnostics")
-    _box(axes, (left[4], 0.08, left[5] - left[4] + box, 0.93), "rankers", "", _RANKERS)
-    _box(axes, (left[2], 0.08, left[3] - left[2] + box, 0.93), "reports", "", fill(f"{reports}, films, site", _LINE_OF_REPORTS))
-    _arrow(axes, (left[5] + box / 2, 1.27), (left[5] + box / 2, 1.02))
+    _box(axes, (left[4], 0.04, left[5] - left[4] + box, 0.99), "rankers", "", _RANKERS)
+    _box(axes, (left[2], 0.04, left[3] - left[2] + box, 0.99), "reports", "", fill(f"{reports}, films, site", _LINE_OF_REPORTS))
+    _arrow(axes, (left[5] + box / 2, 1.27), (left[5] + box / 2, 1.04))
     _arrow(axes, (left[4], 0.54), (left[3] + box + 0.01, 0.54))
     axes.text(left[0] + 0.1, 0.92, _TRUST, fontsize=8.2, color=_DIM, va="top", linespacing=1.35)
     return png(figure)
