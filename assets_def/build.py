@@ -249,7 +249,7 @@ def _print_result(tier: str, until: str, benchmark: Benchmark) -> None:
     reports = benchmark.report_dir(tier)
     paths = {"release": benchmark.root.release(tier)}
     if until == "reports":
-        CONSOLE.print(_ladder(tier, reports / "success_at_k.json"))
+        CONSOLE.print(_ladder(tier, reports / "success_at_k.json", has_paper=not benchmark.is_own))
         paths |= {
             "ladder": reports / "success_at_k-test.png",
             "report": reports / "success_at_k.md",
@@ -261,8 +261,8 @@ def _print_result(tier: str, until: str, benchmark: Benchmark) -> None:
         CONSOLE.print(f"{name:<9}{os.path.relpath(path)}", soft_wrap=True, highlight=False)
 
 
-def _ladder(tier: str, metrics: Path) -> Table:
-    """S1 of every policy in 80 columns; the report has the rest."""
+def _ladder(tier: str, metrics: Path, *, has_paper: bool) -> Table:
+    """S1 of every policy in 80 columns, the paper's beside the benchmark's; the report has the rest."""
     ladder = Table(
         "policy",
         box=SIMPLE_HEAD,
@@ -272,9 +272,10 @@ def _ladder(tier: str, metrics: Path) -> Table:
     )
     for task in Task:
         ladder.add_column(f"{task.value} [95 %]", justify="right")
-        ladder.add_column("paper", justify="right")
+        if has_paper:
+            ladder.add_column("paper", justify="right")
     for standing in standings(read_metrics(metrics)):
-        ladder.add_row(*standing.cells())
+        ladder.add_row(*standing.cells(has_paper=has_paper))
     return ladder
 
 

@@ -39,10 +39,12 @@ class Standing:
     def label(self) -> str:
         return self.policy.label
 
-    def cells(self) -> list[str]:
-        """Its label, then S1 and the paper's S1 of each task."""
-        shown = [(str(s1), MISSING if s1.paper is None else f"{s1.paper:.2f}") for s1 in (self.s1[task] for task in Task)]
-        return [self.label, *(cell for pair in shown for cell in pair)]
+    def cells(self, *, has_paper: bool = True) -> list[str]:
+        """Its label, then S1 of each task, each with the paper's S1 behind it."""
+        cells = [self.label]
+        for s1 in (self.s1[task] for task in Task):
+            cells += [str(s1), MISSING if s1.paper is None else f"{s1.paper:.2f}"][: 1 + has_paper]
+        return cells
 
 
 def standings(metrics: Mapping[str, float], split: Split = Split.TEST) -> list[Standing]:

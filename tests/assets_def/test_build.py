@@ -332,11 +332,15 @@ def test_the_last_words_fit_a_terminal_of_80_columns(tmp_path: Path, out: io.Str
     monkeypatch.chdir(tmp_path)
     command._print_result(TIER, "reports", benchmark)
     plain = re.sub(r"\x1b\[[0-9;]*m", "", out.getvalue())
-    assert max(map(len, plain.splitlines())) <= 80
-    for policy in POLICIES:
-        (row,) = [line for line in plain.splitlines() if line.startswith(policy.label)]
-        assert row.count("100.0 [98.4, 100.0]") == 2
-        assert ("85.78" in row and "79.67" in row) == (policy is RANKER)
-    assert "…" not in plain
+    assert "paper" not in plain, "with a recipe of its own it is no benchmark"
+    command.CONSOLE.print(command._ladder(TIER, directory / "success_at_k.json", has_paper=True))
+    of_benchmark = re.sub(r"\x1b\[[0-9;]*m", "", out.getvalue())[len(plain) :]
+    for shown in (plain, of_benchmark):
+        assert max(map(len, shown.splitlines())) <= 80
+        assert "…" not in shown
+        for policy in POLICIES:
+            (row,) = [line for line in shown.splitlines() if line.startswith(policy.label)]
+            assert row.count("100.0 [98.4, 100.0]") == 2
+            assert ("85.78" in row and "79.67" in row) == (policy is RANKER and shown is of_benchmark)
     (site,) = [line.split()[1] for line in plain.splitlines() if line.startswith("site ")]
     assert (tmp_path / site) == directory / "site" / "index.html"
