@@ -185,4 +185,4 @@ proof_assets = [attempts, audits, test_replicates]
 attempts_step = Step("attempts", attempts, _attempts_products, _attempts_checks)
 audits_step = Step("audits", audits, _audits_products, _audits_checks)
 replicates_step = Step("replicates of the test split", test_replicates, _replicates_products, _replicates_checks)
-proof_steps = (attempts_step, audits_step)
+proof_steps = (attempts_step, audits_step, replicates_step)

@@ -10,11 +10,12 @@ from assets_def.trees_assets import TREE_PREDICTIONS, TREE_TIMES
 from model.features import CANDIDATE_GEOMETRY
 from objects.build import build_object
 from objects.catalogue import PACKAGED_CATALOGUE, catalogue_order, load_catalogue
+from pipelines.proofs.replicates import uncertainty_of
 from pipelines.running.data_root import DataRoot
 from pipelines.running.shard_runner import ShardInputs
 from pipelines.scenes.allocation import scene_allocation
 from tables.identity import rng_for
-from tables.schemas import ALL_SCHEMAS, ATTEMPTS, AUDITS, CANDIDATES, OBJECT_TABLES, PREDICTIONS, TIMINGS
+from tables.schemas import ALL_SCHEMAS, ATTEMPTS, AUDITS, CANDIDATES, LEARNING_CURVE, OBJECT_TABLES, PREDICTIONS, TEST_REPLICATES, TIMINGS
 from tables.store import read_table, table_from_rows, write_table
 
 SHARD, TIER = "mini-000", "mini"
@@ -50,7 +51,7 @@ def write_objects(benchmark: Benchmark) -> None:
 
 
 def write_made_up_tables(root: DataRoot) -> None:
-    """Tables that cost minutes to make, with made-up values about real candidates: predictions, decision times, attempts and audits."""
+    """Tables that cost minutes to make, with made-up values about real candidates: what rankers say, repeats, audits, replicates."""
     candidates = read_table(CANDIDATES, root.tier_table(TIER, "candidates")).to_pylist()
     noise = rng_for(0, "made-up-predictions").normal(size=len(candidates))
     score = {row["candidate_id"]: float(x) for row, x in zip(candidates, noise, strict=True)}
@@ -69,6 +70,15 @@ def write_made_up_tables(root: DataRoot) -> None:
             | {"audited_status": row["plan_status"], "depth_m": None, "deepest_pair": None, "clearance_m": None, "n_configurations": 1}
             for row in candidates
         ],
+        "learning_curve": [
+            {"variant": "local", "n_train_scenes": 1, "seed": 42, "candidate_id": name, "log_p_plan": x, "log_p_exec": x}
+            for name, x in score.items()
+        ],
+        "test_replicates": [
+            {"candidate_id": name, "replicate": 0, **uncertainty_of(0, name, 0).row()}
+            | {"exec_status": "success", "is_success": True, "tolerance_margin": 0.5}
+            for name in score
+        ],
     }
     geometry = [
         {c.name: row["candidate_id"] if c.name == "candidate_id" else 0.5 for c in CANDIDATE_GEOMETRY.columns} for row in candidates
@@ -76,7 +86,7 @@ def write_made_up_tables(root: DataRoot) -> None:
     write_table(CANDIDATE_GEOMETRY, table_from_rows(CANDIDATE_GEOMETRY, geometry), root.tier_table(TIER, CANDIDATE_GEOMETRY.name))
     scores = [row | {"variant": "trees"} for row in rows["predictions"]]
     write_table(PREDICTIONS, table_from_rows(PREDICTIONS, scores), root.tier_table(TIER, TREE_PREDICTIONS))
-    for schema in (PREDICTIONS, ATTEMPTS, AUDITS):
+    for schema in (PREDICTIONS, ATTEMPTS, AUDITS, LEARNING_CURVE, TEST_REPLICATES):
         write_table(schema, table_from_rows(schema, rows[schema.name]), root.tier_table(TIER, schema.name))
     times = [{"stage": "ranker", "item_id": scene_id, "core_ms": 1.0} for scene_id in SCENES]
     for name in ("decision_times", TREE_TIMES):
