@@ -30,9 +30,10 @@ from model.checkpoint import identity_of, is_checkpoint_of, weights_sha256
 from model.inputs import InputReader, contract_hash, scenes_of_split
 from model.scoring import score
 from model.settings import SCHEME_OF_PREDICTIONS, Variant, scheme_named
-from model.trees import TreeVariant, read_tree_data, split_predictions
+from model.trees import TreeVariant, read_tree_data
 from pipelines.running.lock import locked
 from reports.sources import folder_beside
+from reports.trees_probe import tree_predictions
 from splits.rebuild import rebuild
 from splits.release_reader import Release
 from tables.identity import TIERS, parse_candidate_id
@@ -161,9 +162,7 @@ def _publish_trees(place: Place, log: Callable[[str], Any]) -> None:
     if isinstance(find_published(PREDICTIONS, path, made_from, place.tier), Sidecar):
         log(f"{TREE_PREDICTIONS}: there already")
         return
-    data = read_tree_data(place.release_dir)
-    parts = [split_predictions(place.release_dir, data, variant, TREES_SEED, place.scheme) for variant in variants]
-    table = join_tables(PREDICTIONS, parts)
+    table = tree_predictions(place.release_dir, read_tree_data(place.release_dir), TREES_SEED, None, place.scheme, variants)
     reader = InputReader(place.release_dir, place.scheme)
     scored = {scene_id for split in SCORED for scene_id in scenes_of_split(reader, split)}
     is_scored = [parse_candidate_id(name).scene_id in scored for name in table["candidate_id"].to_pylist()]

@@ -27,7 +27,7 @@ from reports.report import Report, ReportError
 from reports.seed_robustness import seed_robustness_report
 from reports.shard_diagnostics import shard_diagnostics_report
 from reports.solvability import solvability_report
-from reports.sources import Sources
+from reports.sources import Sources, scores_of
 from reports.success_at_k import DESIGNATED_SEED, success_at_k_report
 from reports.trees_probe import trees_probe_report
 from splits.release_laws import stage_tables
@@ -208,17 +208,11 @@ def _ceiling(sources: Sources) -> Report:
 
 def _all_predictions(sources: Sources, scheme: SplitScheme = SplitScheme.SCENE) -> pa.Table | None:
     """Those of the networks and those of the trees of a scheme, as far as they are there."""
-    there = sources.tables(sources.there(_scores_of(scheme)))
+    there = sources.tables(sources.there(scores_of(scheme)))
     return join_tables(PREDICTIONS, list(there.values())) if there else None
 
 
-def _scores_of(scheme: SplitScheme) -> list[str]:
-    """Names of the tables of predictions of a scheme beside a release."""
-    folder = "" if scheme is SplitScheme.SCENE else f"{scheme.value}/"
-    return [f"{folder}{name}" for name in ("predictions", "tree_predictions")]
-
-
-_OTHER_SCORES = [name for scheme in SplitScheme if scheme is not SplitScheme.SCENE for name in _scores_of(scheme)]
+_OTHER_SCORES = [name for scheme in SplitScheme if scheme is not SplitScheme.SCENE for name in scores_of(scheme)]
 
 KINDS = {
     kind.name: kind

@@ -21,22 +21,24 @@ from tables.schemas import ATTEMPTS, AUDITS, LEARNING_CURVE, PLANNER_COSTS, PRED
 from tables.store import read_sidecar, read_table
 from tables.vocabulary import SplitScheme
 
-_SCORES = ("predictions", "tree_predictions")
+
+def scores_of(scheme: SplitScheme) -> list[str]:
+    """Names of the tables of what networks and trees say, of rankers of a scheme: in a folder of its name where it is not the paper's."""
+    folder = "" if scheme is SplitScheme.SCENE else f"{scheme.value}/"
+    return [f"{folder}{name}" for name in ("predictions", "tree_predictions")]
+
 
 # Made from a release, so after it and beside it: names of the files, and their tables. `attempts` may be in the release too; those of the
 # folder are the newer ones.
 BESIDE: dict[str, TableSchema] = {
-    "predictions": PREDICTIONS,
+    **{name: PREDICTIONS for scheme in SplitScheme for name in scores_of(scheme)},
     "decision_times": TIMINGS,
-    "tree_predictions": PREDICTIONS,
     "tree_decision_times": TIMINGS,
     "planner_costs": PLANNER_COSTS,
     "learning_curve": LEARNING_CURVE,
     "attempts": ATTEMPTS,
     "audits": AUDITS,
     "test_replicates": TEST_REPLICATES,
-    # Of rankers that were trained under another split, in a folder of its name.
-    **{f"{scheme.value}/{name}": PREDICTIONS for scheme in SplitScheme if scheme is not SplitScheme.SCENE for name in _SCORES},
 }
 
 _DEFAULT_SEED = "42"  # of releases whose provenance does not name the seed of the recipe
