@@ -122,10 +122,11 @@ def curve_table(curve: Sequence[SizedRanker], n_workers: int, log: Callable[[str
                 train_all(place.release_dir, missing, place.scheme, out, n_workers, log, n, tells_epochs)
     scored: dict[int, list[pa.Table]] = {}
     for ranker in curve:
-        if ranker.folder is None:
+        folder = ranker.folder
+        if folder is None:
             name = folder_name(ranker.key)
             raise RankersError(f"{name} of {ranker.n} scenes is not trained, must be: make rankers ONLY={ranker.key.variant}")
-        scored.setdefault(ranker.n, []).append(score(place.release_dir, ranker.folder, "cpu", (Split.VALIDATION.value,)))
+        scored.setdefault(ranker.n, []).append(score(place.release_dir, folder, "cpu", (Split.VALIDATION.value,)))
     release = Release.open(place.release_dir)
     return learning_curve_table(scored, release.table("candidates"), release.table("splits"))
 

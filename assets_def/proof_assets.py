@@ -1,10 +1,12 @@
 """Labels made again and judged again: repeat executions and audits of a release; the work is in pipelines/proofs."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
-from dagster import AssetCheckResult, AssetExecutionContext, AssetSpec, MaterializeResult, multi_asset
+from dagster import AssetCheckResult, AssetExecutionContext, AssetsDefinition, AssetSpec, MaterializeResult, multi_asset
 
 from assets_def.checks import schema_check, schema_check_spec
 from assets_def.inputs import release_hashes, stage_versions, tier_hashes
@@ -23,6 +25,7 @@ from reports.repeatability import N_REPEATS, N_TASKS_REPEATED, choose_tasks
 from splits.manifest import read_manifest
 from splits.release_reader import Release
 from splits.replicates import execute_replicates, kept_beside, replicates_made_from
+from tables.columns import TableSchema
 from tables.schemas import ATTEMPTS, AUDITS, OBJECT_TABLES, TEST_REPLICATES
 from tables.store import table_from_rows
 from tables.vocabulary import Perturbation
@@ -39,30 +42,61 @@ N_AUDITED = {"mini": (20, 3), "pilot": (500, 50), "full": (500, 50)}
 VALUE_TABLES = (*OBJECT_TABLES, "scenes", "obstacles", "targets", "grasps", "candidates", "plans")
 
 
-@multi_asset(
-    name="repeat_executions",
-    specs=[
-        AssetSpec(
-            "attempts",
-            deps=["release"],
-            description="Plans and executes chosen candidates again, each in a fresh process: tasks chosen by hash before any outcome is"
-            f" read, and executed candidates under changes that ought not to matter. Rows: {ATTEMPTS.meaning}.",
-            group_name="reports",
-            code_version=PROOF_CODE_VERSION,
-            kinds={"parquet"},
-        )
-    ],
-    check_specs=[schema_check_spec(ATTEMPTS)],
-    partitions_def=tier_partitions,
-)
-def attempts(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
-    tier = context.partition_key
-    (product,) = _attempts_products(benchmark, tier)
-    yield from product.publish(lambda: _repeat(benchmark, tier))
-    yield from _attempts_checks(benchmark, tier)
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """Labels of a release made or judged again: a table about it, which is an asset.
+
+    Attributes:
+        name: of what Dagster materializes.
+        description: what it does.
+        made_from: what decides its rows, for the record of the table.
+        make: its rows, told how far it is.
+        kept: the file of finished work that `make` leaves beside the table, until that is published.
+    """
+
+    schema: TableSchema
+    name: str
+    description: str
+    code_version: str
+    made_from: Callable[[Benchmark, str], dict[str, str]]
+    make: Callable[[Benchmark, str, Callable[[str], Any]], pa.Table]
+    kept: Callable[[Path], Path] | None = None
+
+    def product(self, benchmark: Benchmark, tier: str) -> TableProduct:
+        path = benchmark.root.tier_table(tier, self.schema.name)
+        return TableProduct(self.schema, path, self.made_from(benchmark, tier), tier)
+
+    def checks(self, benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult]:
+        yield schema_check(self.schema, benchmark.root.tier_table(tier, self.schema.name))
 
 
-def _repeat(benchmark: Benchmark, tier: str) -> pa.Table:
+def _asset_of(proof: Proof) -> AssetsDefinition:
+    spec = AssetSpec(
+        proof.schema.name,
+        deps=["release"],
+        description=f"{proof.description} Rows: {proof.schema.meaning}.",
+        group_name="reports",
+        code_version=proof.code_version,
+        kinds={"parquet"},
+    )
+
+    @multi_asset(name=proof.name, specs=[spec], check_specs=[schema_check_spec(proof.schema)], partitions_def=tier_partitions)
+    def made(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
+        tier = context.partition_key
+        product = proof.product(benchmark, tier)
+        yield from product.publish(lambda: proof.make(benchmark, tier, context.log.info))
+        if proof.kept is not None:
+            proof.kept(product.path).unlink(missing_ok=True)
+        yield from proof.checks(benchmark, tier)
+
+    return made
+
+
+def _step_of(proof: Proof, name: str) -> Step:
+    return Step(name, _asset_of(proof), lambda benchmark, tier: [proof.product(benchmark, tier)], proof.checks)
+
+
+def _repeat(benchmark: Benchmark, tier: str, log: Callable[[str], Any]) -> pa.Table:
     release = Release.open(benchmark.root.release(tier))
     recipe, candidates = benchmark.recipe_of_tier(tier), release.table("candidates")
     blind = candidates.select(["candidate_id", "scene_id", "target_id"])
@@ -81,94 +115,32 @@ def _repeats(release: Release, recipe: Recipe, chosen: Sequence[tuple[str, Pertu
     return repeats
 
 
-def _attempts_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct]:
+def _repeat_made_from(benchmark: Benchmark, tier: str) -> dict[str, str]:
     chosen = {"perturbed": N_PERTURBED[tier], "tasks_repeated": N_TASKS_REPEATED, "repeats": N_REPEATS}
-    made_from = {**_made_from(benchmark, tier, chosen), **tier_hashes(benchmark, tier, ["candidates"])}
-    return (TableProduct(ATTEMPTS, benchmark.root.tier_table(tier, "attempts"), made_from, tier),)
+    return {**_made_from(benchmark, tier, chosen), **tier_hashes(benchmark, tier, ["candidates"])}
 
 
-def _attempts_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult]:
-    yield schema_check(ATTEMPTS, benchmark.root.tier_table(tier, "attempts"))
-
-
-@multi_asset(
-    name="audit_labels",
-    specs=[
-        AssetSpec(
-            "audits",
-            deps=["release"],
-            description="Checks planning labels by other means: solved paths in a second collision engine, spent budgets with ten times"
-            f" as much, rejections by a finer, independent judge. Rows: {AUDITS.meaning}.",
-            group_name="reports",
-            code_version=PROOF_CODE_VERSION,
-            kinds={"parquet"},
-        )
-    ],
-    check_specs=[schema_check_spec(AUDITS)],
-    partitions_def=tier_partitions,
-)
-def audits(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
-    tier = context.partition_key
-    (product,) = _audits_products(benchmark, tier)
-    yield from product.publish(lambda: _audit(benchmark, tier))
-    yield from _audits_checks(benchmark, tier)
-
-
-def _audit(benchmark: Benchmark, tier: str) -> pa.Table:
+def _audit(benchmark: Benchmark, tier: str, log: Callable[[str], Any]) -> pa.Table:
     release = Release.open(benchmark.root.release(tier))
     recipe = benchmark.recipe_of_tier(tier)
     chosen = choose_audited(release.table("candidates"), recipe.seed, *N_AUDITED[tier])
     return table_from_rows(AUDITS, audit_rows(audit_items(chosen, release.values, recipe), benchmark.n_workers))
 
 
-def _audits_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct]:
+def _audit_made_from(benchmark: Benchmark, tier: str) -> dict[str, str]:
     n_plans, n_per_reason = N_AUDITED[tier]
     parameters = {"plans": n_plans, "per_reason": n_per_reason, "budget": N_BUDGET, **asdict(AuditParams())}
-    return (TableProduct(AUDITS, benchmark.root.tier_table(tier, "audits"), _made_from(benchmark, tier, parameters), tier),)
+    return _made_from(benchmark, tier, parameters)
 
 
-def _audits_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult]:
-    yield schema_check(AUDITS, benchmark.root.tier_table(tier, "audits"))
+def _replicate(benchmark: Benchmark, tier: str, log: Callable[[str], Any]) -> pa.Table:
+    release, kept = Release.open(benchmark.root.release(tier)), kept_beside(benchmark.root.tier_table(tier, TEST_REPLICATES.name))
+    return execute_replicates(release, kept, None, benchmark.n_workers, N_REPLICATED[tier], benchmark.recipe_file, log)
 
 
-@multi_asset(
-    name="replicate_executions",
-    specs=[
-        AssetSpec(
-            TEST_REPLICATES.name,
-            deps=["release"],
-            description="Executes every planned candidate of the test split again under small real uncertainty, for the ceiling report."
-            f" Rows: {TEST_REPLICATES.meaning}.",
-            group_name="reports",
-            code_version=REPLICATE_CODE_VERSION,
-            kinds={"parquet"},
-        )
-    ],
-    check_specs=[schema_check_spec(TEST_REPLICATES)],
-    partitions_def=tier_partitions,
-)
-def test_replicates(context: AssetExecutionContext, benchmark: Benchmark) -> Iterator[MaterializeResult[None] | AssetCheckResult]:
-    tier = context.partition_key
-    (product,) = _replicates_products(benchmark, tier)
-    kept = kept_beside(product.path)
-
-    def execute() -> pa.Table:
-        release = Release.open(benchmark.root.release(tier))
-        return execute_replicates(release, kept, None, benchmark.n_workers, N_REPLICATED[tier], benchmark.recipe_file, context.log.info)
-
-    yield from product.publish(execute)
-    kept.unlink(missing_ok=True)
-    yield from _replicates_checks(benchmark, tier)
-
-
-def _replicates_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct]:
+def _replicate_made_from(benchmark: Benchmark, tier: str) -> dict[str, str]:
     manifest = read_manifest(benchmark.root.release(tier))
-    made_from = replicates_made_from(manifest, benchmark.recipe_of_tier(tier), N_REPLICATED[tier])
-    return (TableProduct(TEST_REPLICATES, benchmark.root.tier_table(tier, TEST_REPLICATES.name), made_from, tier),)
-
-
-def _replicates_checks(benchmark: Benchmark, tier: str) -> Iterator[AssetCheckResult]:
-    yield schema_check(TEST_REPLICATES, benchmark.root.tier_table(tier, TEST_REPLICATES.name))
+    return replicates_made_from(manifest, benchmark.recipe_of_tier(tier), N_REPLICATED[tier])
 
 
 def _made_from(benchmark: Benchmark, tier: str, parameters: Mapping[str, float]) -> dict[str, str]:
@@ -181,8 +153,41 @@ def _made_from(benchmark: Benchmark, tier: str, parameters: Mapping[str, float])
     }
 
 
-proof_assets = [attempts, audits, test_replicates]
-attempts_step = Step("attempts", attempts, _attempts_products, _attempts_checks)
-audits_step = Step("audits", audits, _audits_products, _audits_checks)
-replicates_step = Step("replicates of the test split", test_replicates, _replicates_products, _replicates_checks)
+attempts_step = _step_of(
+    Proof(
+        ATTEMPTS,
+        "repeat_executions",
+        "Plans and executes chosen candidates again, each in a fresh process: tasks chosen by hash before any outcome is read, and executed"
+        " candidates under changes that ought not to matter.",
+        PROOF_CODE_VERSION,
+        _repeat_made_from,
+        _repeat,
+    ),
+    "attempts",
+)
+audits_step = _step_of(
+    Proof(
+        AUDITS,
+        "audit_labels",
+        "Checks planning labels by other means: solved paths in a second collision engine, spent budgets with ten times as much, rejections"
+        " by a finer, independent judge.",
+        PROOF_CODE_VERSION,
+        _audit_made_from,
+        _audit,
+    ),
+    "audits",
+)
+replicates_step = _step_of(
+    Proof(
+        TEST_REPLICATES,
+        "replicate_executions",
+        "Executes every planned candidate of the test split again under small real uncertainty, for the ceiling report.",
+        REPLICATE_CODE_VERSION,
+        _replicate_made_from,
+        _replicate,
+        kept_beside,
+    ),
+    "replicates of the test split",
+)
 proof_steps = (attempts_step, audits_step, replicates_step)
+proof_assets = [step.asset for step in proof_steps]
