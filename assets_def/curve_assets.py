@@ -9,7 +9,7 @@ from assets_def.inputs import release_hashes
 from assets_def.learning_curve import SizedRanker, curve_keys, curve_of, curve_table, made_from
 from assets_def.partitions import rankers_to_tiers, tier_partitions
 from assets_def.products import TableProduct
-from assets_def.ranker_assets import MODEL_CODE_VERSION
+from assets_def.ranker_assets import SCORING_CODE_VERSION
 from assets_def.rankers import Place
 from assets_def.resources import Benchmark
 from assets_def.steps import Step
@@ -25,7 +25,7 @@ from tables.vocabulary import SplitScheme
             deps=[AssetDep("ranker", partition_mapping=rankers_to_tiers), "release"],
             description=f"Trains rankers on some of the training scenes. Rows: {LEARNING_CURVE.meaning}.",
             group_name="ranker",
-            code_version=MODEL_CODE_VERSION,
+            code_version=SCORING_CODE_VERSION,
             kinds={"parquet", "pytorch"},
         )
     ],

@@ -24,7 +24,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from assets_def.partitions import RankerKey
-from assets_def.ranker_assets import MODEL_CODE_VERSION
+from assets_def.ranker_assets import SCORING_CODE_VERSION
 from assets_def.ranker_training import RankersError, exit_code_of, folder_name, settings_of, train_all
 from assets_def.rankers import Place, keys_of, make_whole
 from assets_def.resources import Benchmark
@@ -153,7 +153,7 @@ def make_learning_curve(
 def _of_release(place: Place) -> dict[str, str]:
     """What all trainings of a curve have in common."""
     release_hash = Release.open(place.release_dir).manifest.release_hash
-    return {"code": MODEL_CODE_VERSION, "contract": contract_hash(), "engine.torch": metadata.version("torch"), "release": release_hash}
+    return {"code": SCORING_CODE_VERSION, "contract": contract_hash(), "engine.torch": metadata.version("torch"), "release": release_hash}
 
 
 def _trainings(table: pa.Table) -> pa.Array:

@@ -47,6 +47,8 @@ from tables.schemas import PREDICTIONS, TIMINGS
 from tables.store import StoreError, file_sha256, join_tables, table_from_rows
 
 MODEL_CODE_VERSION = "1"
+# Changes whenever what the same weights say may be stored otherwise.
+SCORING_CODE_VERSION = "2"
 _TIMED = {policy.variant for policy in LEARNED if policy.group_stage}
 
 
@@ -139,7 +141,7 @@ def _ranker_products(benchmark: Benchmark, partition: str) -> tuple[FilesProduct
             deps=[AssetDep("ranker", partition_mapping=rankers_to_tiers), "release"],
             description=f"Scores every candidate of a tier with every trained ranker. Rows: {PREDICTIONS.meaning}.",
             group_name="ranker",
-            code_version=MODEL_CODE_VERSION,
+            code_version=SCORING_CODE_VERSION,
             kinds={"parquet"},
         ),
         AssetSpec(
@@ -147,7 +149,7 @@ def _ranker_products(benchmark: Benchmark, partition: str) -> tuple[FilesProduct
             deps=[AssetDep("ranker", partition_mapping=rankers_to_tiers), "release"],
             description="Times how long a ranker of each kind takes to order each group of the first scenes of the test split.",
             group_name="ranker",
-            code_version=MODEL_CODE_VERSION,
+            code_version=SCORING_CODE_VERSION,
             kinds={"parquet"},
         ),
     ],
@@ -175,7 +177,7 @@ def predictions(context: AssetExecutionContext, benchmark: Benchmark) -> Iterato
 
 def _predictions_products(benchmark: Benchmark, tier: str) -> tuple[TableProduct, TableProduct]:
     weights = {key: {f"ranker.{key.variant.value}.{key.seed}": _weights_sha256(benchmark, key)} for key in rankers_of_tier(tier)}
-    made_from = {"code": MODEL_CODE_VERSION, "contract": contract_hash(), **release_hashes(benchmark, tier)}
+    made_from = {"code": SCORING_CODE_VERSION, "contract": contract_hash(), **release_hashes(benchmark, tier)}
     timed = {name: sha256 for key in _timed_rankers(tier) for name, sha256 in weights[key].items()} | {MACHINE: timing_machine()}
     all_weights = {name: sha256 for own in weights.values() for name, sha256 in own.items()}
     return (

@@ -22,7 +22,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from assets_def.partitions import RankerKey, rankers_of_tier
-from assets_def.ranker_assets import MODEL_CODE_VERSION
+from assets_def.ranker_assets import SCORING_CODE_VERSION
 from assets_def.ranker_training import SHIPPED, RankersError, exit_code_of, folder_name, settings_of, train_all
 from assets_def.resources import Benchmark
 from assets_def.trees_assets import TREE_PREDICTIONS, TREES_CODE_VERSION, TREES_SEED
@@ -44,6 +44,8 @@ from tables.vocabulary import Split, SplitScheme
 
 # Rankers are selected on the one and judged on the other; what they say of scenes that they were trained on is no result.
 SCORED = (Split.VALIDATION.value, Split.TEST.value)
+# Variants of the ablation are compared on validation, so that test takes no part in choosing between them, and on nothing else.
+ABLATIONS = (Variant.DIRECT, Variant.NO_OBJECT_RELATIVE, Variant.NO_TARGET_HYPOTHESIS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +121,7 @@ def make_whole(place: Place, n_workers: int, log: Callable[[str], Any] = print) 
 def _publish_predictions(place: Place, there: Mapping[RankerKey, Path], log: Callable[[str], Any]) -> None:
     """Score what has other weights than the table says, keep the rest of it."""
     path = place.beside / f"{PREDICTIONS.name}.parquet"
-    made_from = {"code": MODEL_CODE_VERSION, "contract": contract_hash(), **_of_release(place)}
+    made_from = {"code": SCORING_CODE_VERSION, "contract": contract_hash(), **_of_release(place)}
     weights = {_recorded(key): weights_sha256(folder) for key, folder in there.items()}
     kept, rows = _kept(path, made_from)
     weights = {name: sha256 for name, sha256 in kept.items() if name not in weights} | weights
@@ -130,9 +132,14 @@ def _publish_predictions(place: Place, there: Mapping[RankerKey, Path], log: Cal
     of = {_recorded(key): key for key in there}
     stale = [name for name, sha256 in weights.items() if kept.get(name) != sha256]
     parts = [rows.filter(_is_of(rows, name)) for name in weights if name not in stale] if rows is not None else []
-    parts += [score(place.release_dir, there[of[name]], "cpu", SCORED) for name in stale]
+    parts += [score(place.release_dir, there[of[name]], "cpu", scored_of(of[name].variant)) for name in stale]
     sidecar = write_table(PREDICTIONS, join_tables(PREDICTIONS, parts), path, made_from, of=place.tier)
     log(f"{PREDICTIONS.name}: {len(stale)} of {len(weights)} rankers scored, {sidecar.rows:,} rows, {path}")
+
+
+def scored_of(variant: Variant) -> tuple[str, ...]:
+    """Splits of which a table beside a release holds what rankers of a variant say."""
+    return (Split.VALIDATION.value,) if variant in ABLATIONS else SCORED
 
 
 def _kept(path: Path, made_from: Mapping[str, str]) -> tuple[dict[str, str], pa.Table | None]:

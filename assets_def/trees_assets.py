@@ -22,7 +22,7 @@ from reports.ranking import MACHINE, ranker_timing_rows
 from tables.schemas import PREDICTIONS, TIMINGS
 from tables.store import join_tables, table_from_rows
 
-_MODULES = ("distances", "features", "geometry", "hand", "inputs", "trees")
+_MODULES = ("distances", "features", "geometry", "hand", "inputs", "predictions", "trees")
 # Minutes at most: any change of geometry or trees makes both tables anew.
 TREES_CODE_VERSION = source_version(*(f"model/{name}.py" for name in _MODULES))
 TREES_SEED = 42

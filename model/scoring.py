@@ -24,11 +24,12 @@ from model.grouping import Grouping
 from model.inputs import InputReader, ReleaseInputs, read_inputs, scenes_of_split
 from model.networks import Network, encode
 from model.outputs import check_writable, writing
+from model.predictions import prediction_table
 from model.ranker import Prediction
 from model.release_tables import published_sha256
 from model.settings import SCHEME_OF_PREDICTIONS
 from tables.schemas import PREDICTIONS
-from tables.store import sidecar_path, table_from_columns, write_table
+from tables.store import sidecar_path, write_table
 
 _GROUPS_AT_ONCE = 32  # bounds memory; a cloud's feature does not depend on which clouds share its batch
 
@@ -57,16 +58,7 @@ def score(release_dir: Path, checkpoint_dir: Path, device: str = "auto", splits:
     for name, values in columns.items():
         for k in np.flatnonzero(~np.isfinite(values))[:1]:
             raise CheckpointError(f"{checkpoint_dir}: {name} of {inputs.candidate_ids[k]} is {values[k]}, must be finite; train again")
-    n = len(inputs.candidate_ids)
-    return table_from_columns(
-        PREDICTIONS,
-        {
-            "variant": [identity.variant.value] * n,
-            "seed": np.full(n, identity.seed, dtype=np.int32),
-            "candidate_id": list(inputs.candidate_ids),
-            **columns,
-        },
-    )
+    return prediction_table(identity.variant.value, identity.seed, inputs.candidate_ids, columns["log_p_plan"], columns["log_p_exec"])
 
 
 def predict(ranker: Network, release: Grouping, groups: Int[np.ndarray, "g"]) -> Prediction:

@@ -23,11 +23,10 @@ from model.features import FEATURES, RAW_POSE_FEATURES, Feature
 from model.geometry import candidate_geometry
 from model.inputs import InputReader, ReleaseInputs, read_inputs, scenes_of_split
 from model.labels import Labels, read_labels
+from model.predictions import prediction_table
 from model.release_tables import published_sha256
 from model.settings import check_seed
 from tables.identity import order_key
-from tables.schemas import PREDICTIONS
-from tables.store import table_from_columns
 from tables.vocabulary import Split, SplitScheme
 
 
@@ -192,14 +191,4 @@ def _rows(labels: Labels, rows: Bool[np.ndarray, "c"]) -> Labels:
 
 
 def _predictions(inputs: ReleaseInputs, log_p: Float[np.ndarray, "2 c"], variant: TreeVariant, seed: int) -> pa.Table:
-    n = len(inputs.candidate_ids)
-    return table_from_columns(
-        PREDICTIONS,
-        {
-            "variant": [variant.value] * n,
-            "seed": np.full(n, seed, dtype=np.int32),
-            "candidate_id": list(inputs.candidate_ids),
-            "log_p_plan": log_p[0],
-            "log_p_exec": log_p[1],
-        },
-    )
+    return prediction_table(variant.value, seed, inputs.candidate_ids, *log_p)

@@ -193,8 +193,8 @@ AUDITS = TableSchema("audits", "planning labels checked again by an independent 
 
 PREDICTIONS = TableSchema("predictions", "what a trained ranker says of every candidate", ("variant", "seed", "candidate_id"), (
     text("variant", "full, direct, no_object_relative or no_target_hypothesis; trees or trees_poses of the probe"), integer("seed", "training seed"), _CANDIDATE_ID,
-    single("log_p_plan", "log probability that a plan exists"),
-    single("log_p_exec", "log probability of success given a plan; the ranking score is the sum of both, in 32 bits too"),
+    single("log_p_plan", "log probability that a plan exists, with 15 bits of mantissa"),
+    single("log_p_exec", "log probability of success given a plan, with 15 bits of mantissa; the ranking score is the sum of both, in 32 bits"),
 ), since="2.2.0")
 
 TEST_REPLICATES = TableSchema("test_replicates", "planned candidates of the test split executed again under small real uncertainty", ("candidate_id", "replicate"), (
@@ -213,7 +213,7 @@ PLANNER_COSTS = TableSchema("planner_costs", "what planning a candidate took, wh
 
 LEARNING_CURVE = TableSchema("learning_curve", "what rankers that were trained on some of the train split say of the candidates of the validation split", ("variant", "n_train_scenes", "seed", "candidate_id"), (
     text("variant", "as in predictions"), integer("n_train_scenes", "scenes of the train split that it was trained on"), integer("seed", "training seed"), _CANDIDATE_ID,
-    single("log_p_plan", "log probability that a plan exists"), single("log_p_exec", "log probability of success given a plan"),
+    single("log_p_plan", "as in predictions"), single("log_p_exec", "as in predictions"),
 ), since="2.4.0")
 
 TIMINGS = TableSchema("timings", "core time of each unit of work, measured once; never part of a hashed release", ("stage", "item_id"), (

@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 
 from assets_def.ranker_training import SHIPPED, settings_of
-from assets_def.rankers import SCORED, Place, keys_of
+from assets_def.rankers import SCORED, Place, keys_of, scored_of
 from assets_def.resources import Benchmark
 from model.checkpoint import input_errors, load_checkpoint, weights_sha256
 from model.inputs import contract_hash
+from model.settings import Variant
 from reports.predictions import check_scheme
 from splits.release_reader import Release
 from tables.identity import parse_candidate_id
@@ -46,22 +47,23 @@ def test_a_shipped_checkpoint_is_what_the_settings_of_today_train(folder, place:
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", ["predictions", "tree_predictions"])
 def test_predictions_are_about_the_published_release(name: str, scheme: SplitScheme, release: Release) -> None:
-    """Of every candidate of validation and test of their split, by the weights that are shipped wherever they are."""
+    """Of every candidate of the splits that are judged, of their scheme, by the weights that are shipped wherever they are."""
     path = BESIDE[scheme] / f"{name}.parquet"
     made_from = read_sidecar(path).made_from
     check_scheme(path, made_from, scheme)
     assert made_from["release"] == release.manifest.release_hash
     assert made_from["contract"] == contract_hash()
     splits = {row["scene_id"]: row[scheme.column] for row in release.table("splits").to_pylist()}
-    scored = sorted(
-        row for row in release.table("candidates")["candidate_id"].to_pylist() if splits[parse_candidate_id(row).scene_id] in SCORED
-    )
+    in_split: dict[str, list[str]] = {}
+    for candidate_id in release.table("candidates")["candidate_id"].to_pylist():
+        in_split.setdefault(splits[parse_candidate_id(candidate_id).scene_id], []).append(candidate_id)
     rows = read_table(PREDICTIONS, path, verify=True).select(["variant", "seed", "candidate_id"]).to_pylist()
     by_training: dict[tuple[str, int], list[str]] = {}
     for row in rows:
         by_training.setdefault((row["variant"], row["seed"]), []).append(row["candidate_id"])
     for training, ids in by_training.items():
-        assert ids == scored, f"{training} scores every candidate once"
+        of = scored_of(Variant(training[0])) if name == "predictions" else SCORED
+        assert ids == sorted(candidate_id for split in of for candidate_id in in_split[split]), f"{training} scores every candidate once"
     if name == "predictions" and scheme is SplitScheme.SCENE:
         stated = {name: sha256 for name, sha256 in made_from.items() if name.startswith("ranker.")}
         assert set(stated) == {f"ranker.{variant}.{seed}" for variant, seed in by_training}
