@@ -48,11 +48,10 @@ from pipelines.running.shard_runner import is_published
 from pipelines.stages import STAGES
 from reports.load import Task
 from reports.standing import read_metrics, standings
-from tables.errors import PlaceBenchError
+from tables.errors import INTERRUPTED, PlaceBenchError
 from tables.identity import TIERS
 
 CONSOLE, ERRORS = Console(), Console(stderr=True)
-INTERRUPTED = 130  # what a shell reports of a command that Ctrl-C ended
 
 
 class BuildError(PlaceBenchError, RuntimeError):

@@ -17,10 +17,9 @@ from model.optimisation import HistoryRow
 from model.settings import TrainingSettings
 from model.training import train
 from pipelines.running.workers import run_units
-from tables.errors import PlaceBenchError
+from tables.errors import INTERRUPTED, PlaceBenchError
 from tables.vocabulary import SplitScheme
 
-INTERRUPTED = 130  # what a shell reports of a command that Ctrl-C ended
 # Beside the code, by tier, split scheme where it is not the paper's, variant and seed.
 SHIPPED = REPOSITORY / "model" / "checkpoints"
 

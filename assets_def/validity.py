@@ -29,14 +29,13 @@ from reports.validity import ValidityReport, validity_report
 from splits.errors import ReleaseError
 from splits.manifest import Manifest
 from splits.release_reader import Release
-from tables.errors import PlaceBenchError
+from tables.errors import INTERRUPTED, PlaceBenchError
 from tables.files import write_text_atomically
 from tables.identity import TIERS
 from tables.versions import library_versions
 from tables.vocabulary import Category
 
 CONSOLE, ERRORS = Console(), Console(stderr=True)
-INTERRUPTED = 130  # what a shell reports of a command that Ctrl-C ended
 # Whatever may change a row: packages below which everything is simulated, and the libraries that do it.
 SOURCES = ("tables", "objects", "pipelines")
 ENGINES = ("frankik", "mujoco-core", "numpy", "pybullet", "ruckig", "scipy")

@@ -31,7 +31,7 @@ from splits.errors import ReleaseError
 from splits.manifest import Manifest, files_of_table
 from splits.release_laws import allocations_in, stage_tables
 from splits.release_reader import Release
-from tables.errors import PlaceBenchError
+from tables.errors import INTERRUPTED, PlaceBenchError
 from tables.files import file_sha256, write_bytes_atomically
 from tables.identity import family_of_tier
 from tables.schemas import ALL_SCHEMAS, HEAVY_TABLES, OBJECT_TABLES
@@ -221,7 +221,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         print("interrupted; finished scenes are kept, the same command continues there", file=sys.stderr)
-        return 130
+        return INTERRUPTED
     return 0
 
 

@@ -35,7 +35,7 @@ from splits.provenance import git_commit
 from splits.rebuild import check_origin, other_engines
 from splits.release_reader import Release, report_folder
 from tables.columns import TableSchema
-from tables.errors import PlaceBenchError
+from tables.errors import INTERRUPTED, PlaceBenchError
 from tables.files import write_text_atomically
 from tables.identity import family_of_tier, order_key
 from tables.schemas import ALL_SCHEMAS, ATTEMPTS, CANDIDATES, GRASPS, OBJECT_TABLES, SPLITS, TIMINGS
@@ -245,7 +245,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         print("interrupted; nothing was written", file=sys.stderr)
-        return 130
+        return INTERRUPTED
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from pipelines.stages import STAGE
 from splits.errors import ReleaseError
 from splits.manifest import Manifest
 from splits.release_reader import Release
-from tables.errors import PlaceBenchError
+from tables.errors import INTERRUPTED, PlaceBenchError
 from tables.identity import family_of_tier, order_key, parse_candidate_id
 from tables.schemas import TEST_REPLICATES
 from tables.sidecar import Sidecar, find_published, read_sidecar
@@ -188,7 +188,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         print("interrupted; finished scenes are kept, the same command continues there", file=sys.stderr)
-        return 130
+        return INTERRUPTED
     return 0
 
 

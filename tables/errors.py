@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+# What a command returns that Ctrl-C ended, as a shell does.
+INTERRUPTED = 130
+
 
 class PlaceBenchError(Exception):
     """Broken input, a damaged file or a broken rule; the message names the thing, the value and the bound.
