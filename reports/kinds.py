@@ -23,13 +23,14 @@ from reports.policies import LEARNED, TREES, TREES_POSES, prediction_seeds
 from reports.profile import profile_report
 from reports.ranking import MACHINE, timing_frame
 from reports.repeatability import repeatability_report
-from reports.report import Report, ReportError
+from reports.report import Report
 from reports.seed_robustness import seed_robustness_report
 from reports.shard_diagnostics import shard_diagnostics_report
 from reports.solvability import solvability_report
 from reports.sources import Sources, scores_of
 from reports.success_at_k import DESIGNATED_SEED, success_at_k_report
 from reports.trees_probe import trees_probe_report
+from splits.errors import ReleaseError
 from splits.release_laws import stage_tables
 from tables.schemas import OBJECT_TABLES, PREDICTIONS, TIMINGS
 from tables.store import join_tables
@@ -100,7 +101,7 @@ def _recipe_of_films(sources: Sources) -> tuple[Recipe | None, str]:
         return None, "table `plans` is left out of this release; `make plans` makes it again"
     try:
         return sources.recipe(), ""
-    except ReportError as error:
+    except ReleaseError as error:
         return None, str(error)
 
 

@@ -61,8 +61,8 @@ def write_films(sources: Sources, out: Path, n_each: int = N_FILMS_EACH, log: Ca
     """Films of the chosen candidates in a folder; returns the paths of all, those that were there too.
 
     Raises:
-        ReportError: this code has another recipe than the release, or a label does not come out again.
-        ReleaseError: a light release without plans or points.
+        ReportError: a label does not come out again.
+        ReleaseError: this code has another recipe than the release, or it is a light one without plans or points.
     """
     release, recipe = sources.release, sources.recipe()
     identity = {"recipe_hash": recipe.hash_of(), "release_hash": release.manifest.release_hash, "release_version": release.manifest.version}

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from pipelines.recipe import DEFAULT_RECIPE, Recipe, load_recipe
+from pipelines.recipe import DEFAULT_RECIPE, Recipe
 from pipelines.running.data_root import DataRoot
 from reports.load import Task
 from reports.predictions import check_scheme, seeds_of_variants
 from reports.report import ReportError
+from splits.origin import recipe_of
 from splits.release_folder import left_out_error
 from splits.release_reader import Release
 from tables.columns import TableSchema
-from tables.identity import family_of_tier
 from tables.schemas import ATTEMPTS, AUDITS, LEARNING_CURVE, PLANNER_COSTS, PREDICTIONS, TEST_REPLICATES, TIMINGS
 from tables.store import read_sidecar, read_table
 from tables.vocabulary import SplitScheme
@@ -73,12 +73,9 @@ class Sources:
         """The recipe of this checkout for the release's family.
 
         Raises:
-            ReportError: it is not the one that made the release.
+            ReleaseError: it is not the one that made the release.
         """
-        recipe, stated = load_recipe(family_of_tier(self.tier), self.recipe_path), self.release.manifest.provenance["recipe_hash"]
-        if recipe.hash_of() != stated:
-            raise ReportError(f"the release is of recipe {stated[:12]}, must be this code's {recipe.hash_of()[:12]}")
-        return recipe
+        return recipe_of(self.release.manifest, self.recipe_path)
 
     def table(self, name: str) -> pa.Table:
         """A table of the release or about it.

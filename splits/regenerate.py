@@ -25,19 +25,20 @@ import pyarrow.compute as pc
 from objects.catalogue import PACKAGED_CATALOGUE, catalogue_hash, load_catalogue
 from pipelines.codecs import Row
 from pipelines.proofs.regenerate import rows_of_scene
-from pipelines.recipe import DEFAULT_RECIPE, load_recipe
+from pipelines.recipe import DEFAULT_RECIPE
 from pipelines.running.dataset_record import is_packaged
 from pipelines.running.join import join_candidates, join_grasps
 from pipelines.running.workers import run_units
 from pipelines.stages import STAGES
 from splits.errors import ReleaseError
+from splits.origin import recipe_of
 from splits.provenance import git_commit
-from splits.rebuild import check_origin, other_engines
+from splits.rebuild import other_engines
 from splits.release_reader import Release, report_folder
 from tables.columns import TableSchema
 from tables.errors import INTERRUPTED, PlaceBenchError
 from tables.files import write_text_atomically
-from tables.identity import family_of_tier, order_key
+from tables.identity import order_key
 from tables.schemas import ALL_SCHEMAS, ATTEMPTS, CANDIDATES, GRASPS, OBJECT_TABLES, SPLITS, TIMINGS
 from tables.store import content_hash, table_from_columns, table_from_rows
 
@@ -91,8 +92,7 @@ def regenerate_scenes(
     """
     if n_scenes < 1:
         raise ReleaseError(f"scenes to make again: {n_scenes}, must be at least 1")
-    recipe = load_recipe(family_of_tier(release.manifest.tier), recipe_path)
-    check_origin(release.manifest, STAGES, recipe)
+    recipe = recipe_of(release.manifest, recipe_path, STAGES)
     _check_catalogue(release, catalogue)
     scene_ids = sorted(release.table("scenes")["scene_id"].to_pylist(), key=lambda name: order_key(recipe.seed, "regenerate", name))
     chosen = sorted(scene_ids[:n_scenes])

@@ -13,15 +13,15 @@ from typing import Any
 import polars as pl
 import pyarrow as pa
 
-from pipelines.recipe import DEFAULT_RECIPE, load_recipe
+from pipelines.recipe import DEFAULT_RECIPE
 from pipelines.running.data_root import DataRoot
 from pipelines.running.shard_runner import read_timings
 from pipelines.stages import STAGE
 from splits.errors import ReleaseError
-from splits.rebuild import check_origin, first_difference, make_shards, rows_of_scenes
+from splits.origin import recipe_of
+from splits.rebuild import first_difference, make_shards, rows_of_scenes
 from splits.release_laws import stage_tables
 from splits.release_reader import Release
-from tables.identity import family_of_tier
 from tables.schemas import PLANNING_LABELS
 from tables.store import content_hash, read_tables
 from tables.vocabulary import Split
@@ -43,8 +43,7 @@ def planned_again(
         ReleaseError: a release of another recipe or of other code, or a label that came out otherwise than it is stored.
         StageError: scenes that could not be planned; the others are kept for the next run.
     """
-    recipe = load_recipe(family_of_tier(release.manifest.tier), recipe_path)
-    check_origin(release.manifest, [_STAGE], recipe)
+    recipe = recipe_of(release.manifest, recipe_path, [_STAGE])
     scene_ids = _scenes_of(release, split)
     parts = {name: rows_of_scenes(release.table(name), scene_ids) for name in ("scenes", "obstacles", "targets", "grasps", "candidates")}
     parts |= stage_tables({name: parts[name] for name in ("grasps", "candidates")})

@@ -20,15 +20,15 @@ import polars as pl
 import pyarrow as pa
 
 from pipelines.proofs.replicates import CODE_VERSION, N_REPLICATES, replicate_table, works_of
-from pipelines.recipe import DEFAULT_RECIPE, Recipe, load_recipe
+from pipelines.recipe import DEFAULT_RECIPE, Recipe
 from pipelines.running.data_root import DataRoot
 from pipelines.running.lock import locked
 from pipelines.stages import STAGE
-from splits.errors import ReleaseError
 from splits.manifest import Manifest
+from splits.origin import recipe_of
 from splits.release_reader import Release
 from tables.errors import INTERRUPTED, PlaceBenchError
-from tables.identity import family_of_tier, order_key, parse_candidate_id
+from tables.identity import order_key, parse_candidate_id
 from tables.schemas import TEST_REPLICATES
 from tables.sidecar import Sidecar, find_published, read_sidecar
 from tables.store import join_tables, read_table, write_table
@@ -61,7 +61,7 @@ def make_replicates(
         ReleaseError, ReplicateError: as `execute_replicates`.
         LockError: somebody else makes this table.
     """
-    tier, recipe = release.manifest.tier, recipe_of(release, recipe_path)
+    tier, recipe = release.manifest.tier, recipe_of(release.manifest, recipe_path, [STAGE["execution_labels"]])
     made_from = replicates_made_from(release.manifest, recipe, n_replicates)
     scenes = _planned_scenes(release, recipe.seed)
     chosen = scenes[: n_scenes or None]
@@ -118,10 +118,10 @@ def execute_replicates(
         n_workers, n_replicates, recipe_path, log: as of `make_replicates`.
 
     Raises:
-        ReleaseError: a release of another recipe, or without plans.
+        ReleaseError: a release of another recipe or other code, or without plans.
         ReplicateError: a scene that could not be executed; the others are kept for the next run.
     """
-    recipe, planned = recipe_of(release, recipe_path), _planned(release)
+    recipe, planned = recipe_of(release.manifest, recipe_path, [STAGE["execution_labels"]]), _planned(release)
     chosen = planned if scene_ids is None else planned.filter(pl.col("scene_id").is_in(scene_ids))
     start_s = time.perf_counter()
 
@@ -135,14 +135,6 @@ def execute_replicates(
 def kept_beside(path: Path) -> Path:
     """The file of finished scenes of a table that is being made."""
     return path.with_name(f".{TABLE}.unfinished.jsonl")
-
-
-def recipe_of(release: Release, path: Path) -> Recipe:
-    """The recipe of a file, if the release was made with it; raises ReleaseError where it was not."""
-    recipe, stated = load_recipe(family_of_tier(release.manifest.tier), path), release.manifest.provenance["recipe_hash"]
-    if recipe.hash_of() != stated:
-        raise ReleaseError(f"{release.directory}: of recipe {stated[:12]}, must be this code's {recipe.hash_of()[:12]}")
-    return recipe
 
 
 def replicates_made_from(manifest: Manifest, recipe: Recipe, n_replicates: int) -> dict[str, str]:

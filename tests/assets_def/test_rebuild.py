@@ -10,6 +10,7 @@ import pytest
 from pipelines.running.data_root import DataRoot
 from splits import rebuild as command
 from splits.manifest import read_manifest
+from splits.origin import recipe_of
 from splits.rebuild import rebuild
 from splits.release import make_light, verify_release
 from splits.release_reader import Release
@@ -117,12 +118,12 @@ def test_another_recipe_or_stage_is_refused_before_any_work(
     assert command.main([str(light), "points", "--recipe", str(other)]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("not rebuilt: recipe_hash of the release is ")
-    assert "use the code that made it (commit " in line
+    assert "use what made it (commit " in line
     content = read_json(light / "manifest.json")
     content["provenance"]["code.scene_points"] = "0"
     write_signed(light, content)
-    with pytest.raises(command.ReleaseError, match=r"code\.scene_points of the release is 0, of this code "):
-        command.check_origin(read_manifest(light), [command._STAGE_OF["scene_points"]], command.load_recipe(TIER, recipe))
+    with pytest.raises(command.ReleaseError, match=r"code\.scene_points of the release is 0, must be that of this code, "):
+        recipe_of(read_manifest(light), recipe, [command._STAGE_OF["scene_points"]])
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 

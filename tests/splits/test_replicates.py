@@ -8,6 +8,7 @@ import pyarrow as pa
 import pytest
 
 from pipelines.recipe import load_recipe
+from pipelines.stages import STAGE
 from splits import replicates
 from splits.errors import ReleaseError
 from splits.release import write_release
@@ -29,7 +30,14 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, pa.Table]:
 
 
 def release_of(tables: dict[str, pa.Table], folder: Path, recipe_hash: str) -> Release:
-    write_release(tables, folder, "full", "0.1.0", {**PROVENANCE, "recipe_hash": recipe_hash}, TOLERANCES)
+    write_release(
+        tables,
+        folder,
+        "full",
+        "0.1.0",
+        {**PROVENANCE, "recipe_hash": recipe_hash, "code.execution_labels": STAGE["execution_labels"].code_version},
+        TOLERANCES,
+    )
     return Release.open(folder)
 
 
@@ -92,11 +100,11 @@ def test_scenes_are_added_to_those_that_are_there(tables: dict[str, pa.Table], a
 
 def test_a_release_of_another_recipe_is_one_line(tables: dict[str, pa.Table], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     release = release_of(tables, tmp_path / "full", "0" * 64)
-    with pytest.raises(ReleaseError, match="of recipe 000000000000, must be this code's"):
+    with pytest.raises(ReleaseError, match="recipe_hash of the release is 000000000000, must be that of this code"):
         make_replicates(release, tmp_path / "out.parquet")
     assert main([str(release.directory), "--out", str(tmp_path / "out.parquet")]) == 1
     said = capsys.readouterr().err
-    assert said.startswith(f"error: {release.directory}: of recipe 000000000000")
+    assert said.startswith("error: recipe_hash of the release is 000000000000, must be ")
     assert said.count("\n") == 1
     assert main([str(tmp_path / "nothing")]) == 1
     assert not (tmp_path / "out.parquet").exists()
