@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 import polars as pl
 import pyarrow as pa
@@ -58,20 +59,25 @@ def ablation_report(
     if not any(seeds.values()):
         raise ReportError(f"predictions: 0 rows of the variants {list(VARIANTS)}, must be at least 1")
     trained = {variant: _entries(frame, scores, variant) for variant, own in seeds.items() if own}
-    letters = {measure: _letters(trained, measure, seed) for measure in _MEASURES}
+    compared = {measure: _compared(trained, measure, seed) for measure in _MEASURES}
+    letters = {measure: own for measure, (own, _) in compared.items()}
     is_in_paper = scheme is SplitScheme.SCENE
 
     rows: list[list[str | None]] = []
-    metrics: dict[str, float] = {}
+    metrics = {name: value for _, differences in compared.values() for name, value in differences.items()}
     values: dict[str, list[list[float]]] = {}
     for variant, label in VARIANTS.items():
         cells: list[str | None] = [label, ", ".join(map(str, seeds[variant])) or None]
         values[variant] = [trained[variant][task].s_by_training(k) if variant in trained else [] for task, k in _MEASURES]
         for (task, k), own, theirs in zip(_MEASURES, values[variant], paper.ABLATION[variant], strict=True):
-            spread = spread_of(own)
-            cells += [None if spread is None else str(spread), str(theirs) if is_in_paper else None, letters[task, k].get(variant)]
-            if spread is not None:
-                metrics |= flat(f"{variant}.{_name((task, k))}", trained[variant][task].s(k))
+            spread, estimate = spread_of(own), trained[variant][task].s(k) if own else None
+            interval = "" if estimate is None else f" [{100 * estimate.low:.1f}, {100 * estimate.high:.1f}]"
+            cells += [
+                None if spread is None else f"{spread}{interval}",
+                str(theirs) if is_in_paper else None,
+                letters[task, k].get(variant),
+            ]
+            metrics |= flat(f"{variant}.{_name((task, k))}", estimate)
         rows.append(cells)
         metrics[f"{variant}.n_seeds"] = float(len(seeds[variant]))
     header = ["variant", "seeds", *(cell for measure in _MEASURES for cell in (_title(measure), "paper", "differs"))]
@@ -97,14 +103,17 @@ def _entries(frame: pl.DataFrame, scores: pl.DataFrame, variant: str) -> dict[Ta
     return {task: entry_of(policy, task, frames, timing_frame({})) for task in Task}
 
 
-def _letters(trained: Mapping[str, Mapping[Task, Entry]], measure: tuple[Task, int], seed: int) -> dict[str, str]:
-    """Letters by variant, the best first; none where there are too few scenes to tell."""
+def _compared(trained: Mapping[str, Mapping[Task, Entry]], measure: tuple[Task, int], seed: int) -> tuple[dict[str, str], dict[str, float]]:
+    """Letters by variant, the best first, and the differences of all pairs; neither where there are too few scenes to tell."""
     task, k = measure
     bootstrap = SceneBootstrap(next(iter(trained.values()))[task].scene_ids, seed)
     if not bootstrap.is_telling:
-        return {}
+        return {}, {}
     means = {variant: entries[task].s_draws(k, bootstrap) for variant, entries in trained.items()}
-    return letter_display(sorted(means, key=lambda variant: -means[variant].value), pairs_that_differ(means))
+    differences: dict[str, float] = {}
+    for low, high in combinations(means, 2):
+        differences |= flat(f"{high}_minus_{low}.{_name(measure)}", (means[high] - means[low]).estimate())
+    return letter_display(sorted(means, key=lambda variant: -means[variant].value), pairs_that_differ(means)), differences
 
 
 def _about(tables: Mapping[str, pa.Table], frame: pl.DataFrame, seeds: Mapping[str, list[int]], scheme: SplitScheme) -> str:
@@ -120,11 +129,12 @@ def _about(tables: Mapping[str, pa.Table], frame: pl.DataFrame, seeds: Mapping[s
         sizes.append(f"{TASK_TITLE[task].lower()} {ranking.covered.height:,} covered groups of {groups.height:,} ({covered} %{in_paper})")
     counts = {len(trained) for trained in seeds.values()}
     spread = "mean ± sample standard deviation over seeds" if max(counts) > 1 else "one seed a variant, so no deviation and no conclusion"
+    spread += ", with the 95 % interval of the mean"
     warning = f" **Only {n_scenes} scenes: differences between variants mean little.**" if n_scenes < MIN_SCENES else ""
     return (
         f"S_K on covered groups in percent, {spread}. {'; '.join(sizes)}.{warning} *Paper* is {paper.ABLATION_SOURCE}. Variants are"
         " compared here so that the test split takes no part in choosing between them. Two that share a letter do not differ at 95 %,"
-        " all pairs judged together, scenes and trainings resampled."
+        " all pairs judged together, scenes resampled and the error of few trainings added."
     )
 
 

@@ -1,92 +1,114 @@
-"""Whether predicted probabilities mean what they say: expected calibration error and Brier score of each head; order is metrics.py's."""
+"""Whether predicted probabilities mean what they say: expected calibration error, Brier score and AUROC of each; order is metrics.py's."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import polars as pl
 from jaxtyping import Bool, Float
 
+from reports.entries import flat
 from reports.metrics import Estimate
-from reports.resampling import SceneBootstrap
-from splits.markdown import percent, table
+from reports.resampling import Draws, SceneBootstrap, auroc_estimate
+from splits.markdown import percent
 
 N_BINS = 15  # of equal width, as in Guo et al., On Calibration of Modern Neural Networks (ICML 2017)
 
 TITLES = {"plan": "a plan exists", "exec": "success, given a plan", "success": "success"}
+COLUMNS = ("probability of", "candidates", "happens", "mean probability", "AUROC [95 %]", "ECE, % [95 %]", "Brier score [95 %]")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """One probability of some candidates, a row a training, and what happened; there is at least one candidate."""
+
+    p: Float[np.ndarray, "r n"]
+    happened: Bool[np.ndarray, "n"]
+    scene_ids: Sequence[str]
+
+    @property
+    def rate(self) -> float:
+        """Share of the candidates that it happened to."""
+        return float(self.happened.mean())
+
+    @property
+    def brier_of_rate(self) -> float:
+        """Brier score of whoever says the rate for every candidate."""
+        return self.rate * (1.0 - self.rate)
+
+    def brier(self, bootstrap: SceneBootstrap, name: str) -> Draws:
+        """Brier score: mean squared error of the probability."""
+        return bootstrap.mean((self.p - self.happened) ** 2, name)
+
+    def ece(self, bootstrap: SceneBootstrap, name: str) -> Draws:
+        """Expected calibration error over bins of equal width; resampled, it is that of the candidates of each draw."""
+        trainings = []
+        n = bootstrap.sums(np.ones((len(self.happened), 1)))[:, 0]
+        for p in self.p:
+            gaps = np.zeros((len(p), N_BINS))
+            gaps[np.arange(len(p)), bins_of(p)] = p - self.happened
+            drawn = np.abs(bootstrap.sums(gaps)).sum(axis=1) / n
+            trainings.append(Draws(float(np.abs(gaps.sum(axis=0)).sum() / len(p)), drawn, len(p), bootstrap.n_scenes))
+        return bootstrap.mean_of(trainings, name)
+
+    def bins(self) -> tuple[Float[np.ndarray, "b"], Float[np.ndarray, "b"], Float[np.ndarray, "b"]]:
+        """Mean probability, rate and number of the candidates of each bin that holds any, over all trainings."""
+        p, happened = self.p.ravel(), np.tile(self.happened, len(self.p)).astype(np.float64)
+        numbers = bins_of(p)
+        n, total, hits = (np.bincount(numbers, weights=own, minlength=N_BINS) for own in (np.ones(len(p)), p, happened))
+        some = n > 0
+        return total[some] / n[some], hits[some] / n[some], n[some]
+
+
+def bins_of(p: Float[np.ndarray, "n"]) -> np.ndarray:
+    """Number of the bin of each probability; 1 is in the last."""
+    return np.minimum((np.asarray(p) * N_BINS).astype(np.int64), N_BINS - 1)
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
-    """How one probability fits what happened.
+class Fit:
+    """How well one probability fits what happened.
 
     Attributes:
-        rate, mean: share of candidates that it happened to, and mean probability.
-        ece: expected calibration error: mean over candidates of the distance between probability and rate in their bin.
-        brier: mean squared error of the probability; None without an interval below `metrics.MIN_SCENES` scenes.
-        brier_of_rate: that of saying the rate for every candidate.
+        ece, brier: within [0, 1]; their ends are NaN where there are too few scenes to resample.
+        auroc: None where it happened to all candidates or to none.
     """
 
-    n: int
-    rate: float
-    mean: float
-    ece: float
-    brier: float
-    brier_interval: Estimate | None
-    brier_of_rate: float
+    ece: Estimate
+    brier: Estimate
+    auroc: Estimate | None
+
+    @classmethod
+    def of(cls, judged: Judged, seed: int, name: str) -> Fit:
+        """Of the trainings of a policy; equal seeds and scenes are resampled alike."""
+        bootstrap = SceneBootstrap(judged.scene_ids, seed)
+        ece, brier = (draws.within(0.0, 1.0) for draws in (judged.ece(bootstrap, name), judged.brier(bootstrap, name)))
+        if not bootstrap.is_telling:
+            ece, brier = (Estimate(own.value, np.nan, np.nan, own.n, own.n_scenes) for own in (ece, brier))
+        return cls(ece, brier, auroc_estimate(judged.p, judged.happened, judged.scene_ids, seed, name))
+
+    @property
+    def shown_ece(self) -> str:
+        """In percent."""
+        return _shown(self.ece, "{:.2f}", 100.0)
+
+    @property
+    def shown_brier(self) -> str:
+        return _shown(self.brier, "{:.4f}")
+
+    def metrics(self, prefix: str) -> dict[str, float]:
+        known = {"ece": self.ece, "brier": self.brier, "auroc": self.auroc}
+        metrics = {key: value for name, own in known.items() for key, value in flat(f"{prefix}.{name}", own).items()}
+        return {key: value for key, value in metrics.items() if not np.isnan(value)}
 
 
-def expected_calibration_error(p: Float[np.ndarray, "n"], happened: Bool[np.ndarray, "n"], n_bins: int = N_BINS) -> float:
-    """Mean over candidates of |mean probability - rate| of their bin; bins have equal width, and 1 is in the last."""
-    bins = np.minimum((np.asarray(p) * n_bins).astype(np.int64), n_bins - 1)
-    gaps = np.bincount(bins, weights=np.asarray(p) - np.asarray(happened, dtype=np.float64), minlength=n_bins)
-    return float(np.abs(gaps).sum() / len(p))
+def row_of(name: str, judged: Judged, fit: Fit) -> list[object]:
+    """A row of a table under `COLUMNS`."""
+    happens = [f"{len(judged.happened):,}", percent(judged.rate), percent(float(judged.p.mean()))]
+    return [TITLES[name], *happens, fit.auroc, fit.shown_ece, fit.shown_brier]
 
 
-def calibration_of(p: Float[np.ndarray, "n"], happened: Bool[np.ndarray, "n"], scene_ids: list[str], seed: int) -> Calibration | None:
-    """Calibration of one probability of some candidates; None without candidates."""
-    p, outcome = np.asarray(p, dtype=np.float64), np.asarray(happened, dtype=np.float64)
-    if not len(p):
-        return None
-    bootstrap, rate = SceneBootstrap(scene_ids, seed), float(outcome.mean())
-    brier = bootstrap.mean((p - outcome) ** 2)
-    interval = brier.estimate() if bootstrap.is_telling else None
-    ece = expected_calibration_error(p, np.asarray(happened))
-    return Calibration(len(p), rate, float(p.mean()), ece, brier.value, interval, rate * (1.0 - rate))
-
-
-def calibration_section(frame: pl.DataFrame, seed: int, prefix: str) -> tuple[list[str], dict[str, float]]:
-    """Markdown blocks and metrics.
-
-    Args:
-        frame: candidates of one split with `p_plan` and `p_exec`, probabilities of a plan and of success given one.
-        seed: of the resampling.
-        prefix: of the names of the metrics.
-    """
-    planned = frame.filter("y_plan")
-    judged = {
-        "plan": calibration_of(frame["p_plan"].to_numpy(), frame["y_plan"].to_numpy(), frame["scene_id"].to_list(), seed),
-        "exec": calibration_of(planned["p_exec"].to_numpy(), planned["success"].to_numpy(), planned["scene_id"].to_list(), seed),
-        "success": calibration_of(
-            (frame["p_plan"] * frame["p_exec"]).to_numpy(), frame["success"].to_numpy(), frame["scene_id"].to_list(), seed
-        ),
-    }
-    rows: list[list[object]] = []
-    metrics: dict[str, float] = {}
-    for name, own in judged.items():
-        if own is None:
-            continue
-        interval = own.brier_interval
-        shown = f"{own.brier:.4f}" + (f" [{interval.low:.4f}, {interval.high:.4f}]" if interval else "")
-        brier_cells = [f"{100 * own.ece:.2f} %", shown, f"{own.brier_of_rate:.4f}"]
-        rows.append([TITLES[name], f"{own.n:,}", percent(own.rate), percent(own.mean), *brier_cells])
-        metrics |= {f"{prefix}.{name}.ece": own.ece, f"{prefix}.{name}.brier": own.brier, f"{prefix}.{name}.rate": own.rate}
-        if interval is not None:
-            metrics |= {f"{prefix}.{name}.brier_low": interval.low, f"{prefix}.{name}.brier_high": interval.high}
-    header = ["probability of", "candidates", "happens", "mean probability", "ECE", "Brier score [95 %]", "Brier score of the rate"]
-    text = (
-        f"ECE is over {N_BINS} bins of equal width. The last column is the Brier score of whoever says the rate of this split for every"
-        " candidate: a probability with a higher one knows less than that."
-    )
-    return [text, table(header, rows)], metrics
+def _shown(own: Estimate, form: str, scale: float = 1.0) -> str:
+    value, low, high = (form.format(scale * x) for x in (own.value, own.low, own.high))
+    return value if np.isnan(own.low) else f"{value} [{low}, {high}]"

@@ -7,66 +7,26 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
 import pyarrow as pa
-from jaxtyping import Bool, Float
 
 from pipelines.frames import frame_of
-from reports.calibration import N_BINS, TITLES
+from reports.calibration import COLUMNS, N_BINS, TITLES, Fit, Judged, row_of
 from reports.command import Asked, report_command
-from reports.entries import flat, prediction_frames
+from reports.entries import prediction_frames
 from reports.load import candidate_frame, of_scheme, scheme_note
 from reports.metrics import MIN_SCENES
 from reports.policies import LEARNED, Policy
 from reports.ranker_figures import Reliability, reliability_figure
 from reports.report import Report, ReportError
-from reports.resampling import Draws, SceneBootstrap
 from reports.temperature import fitted_temperature, logits_of, scaled
-from splits.markdown import percent, table
+from splits.markdown import table
 from tables.vocabulary import Split, SplitScheme
 
 HEADS = ("plan", "exec")
 STATES = ("before", "after")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Judged:
-    """One probability of some candidates, a row a training, and what happened."""
-
-    p: Float[np.ndarray, "r n"]
-    happened: Bool[np.ndarray, "n"]
-    scene_ids: list[str]
-
-    def brier(self, bootstrap: SceneBootstrap, name: str) -> Draws:
-        """Brier score: mean squared error of the probability."""
-        return bootstrap.mean((self.p - self.happened) ** 2, name)
-
-    def ece(self, bootstrap: SceneBootstrap, name: str) -> Draws:
-        """Expected calibration error over bins of equal width; resampled, it is that of the candidates of each draw."""
-        trainings = []
-        n = bootstrap.sums(np.ones((len(self.happened), 1)))[:, 0]
-        for p in self.p:
-            gaps = np.zeros((len(p), N_BINS))
-            gaps[np.arange(len(p)), bins_of(p)] = p - self.happened
-            drawn = np.abs(bootstrap.sums(gaps)).sum(axis=1) / n
-            trainings.append(Draws(float(np.abs(gaps.sum(axis=0)).sum() / len(p)), drawn, len(p), bootstrap.n_scenes))
-        return bootstrap.mean_of(trainings, name)
-
-    def bins(self) -> tuple[Float[np.ndarray, "b"], Float[np.ndarray, "b"], Float[np.ndarray, "b"]]:
-        """Mean probability, rate and number of the candidates of each bin that holds any, over all trainings."""
-        p, happened = self.p.ravel(), np.tile(self.happened, len(self.p)).astype(np.float64)
-        numbers = bins_of(p)
-        n, total, hits = (np.bincount(numbers, weights=own, minlength=N_BINS) for own in (np.ones(len(p)), p, happened))
-        some = n > 0
-        return total[some] / n[some], hits[some] / n[some], n[some]
-
-
-def bins_of(p: Float[np.ndarray, "n"]) -> np.ndarray:
-    """Number of the bin of each probability; 1 is in the last."""
-    return np.minimum((np.asarray(p) * N_BINS).astype(np.int64), N_BINS - 1)
 
 
 def calibration_report(
@@ -112,15 +72,12 @@ def calibration_report(
             ]
     if not figure:
         raise ReportError("predictions: 0 learned policies, must be at least 1")
-    header = [
-        "policy", "probability of", "candidates", "happens", "mean probability", "ECE, % [95 %]", "scaled", "Brier score [95 %]", "scaled",
-        "of the rate",
-    ]  # fmt: skip
+    header = ["policy", *COLUMNS, "ECE, scaled", "Brier, scaled", "Brier of the rate"]
     blocks = [
         f"# Calibration on tier {tier}{of_scheme(scheme)}, test split",
         *scheme_note(scheme),
         _ABOUT,
-        table(header, rows, align="ll" + "r" * 8),
+        table(header, rows, align="ll" + "r" * 9),
         "![Rate against mean probability](calibration.png)",
         "A dot is a bin of all trainings together, its size the share of candidates in it. The diagonal is a probability that means what it"
         " says.",
@@ -136,10 +93,11 @@ def calibration_report(
 _ABOUT = (
     f"Expected calibration error (ECE, over {N_BINS} bins of equal width) and Brier score of every probability that a learned policy gives,"
     " as it is and after temperature scaling: the logits of each head divided by a number that the validation split chose. The probability"
-    " of success is the product of both heads, scaled or not. Numbers are means over the trainings; intervals are 95 %, scenes and"
-    f" trainings resampled, none below {MIN_SCENES} scenes. The ECE of resampled candidates is biased upwards: its interval may lie above a"
-    " small value. The last column is the Brier score of whoever says the rate of the split for every candidate. Scaling leaves the order"
-    " by one head as it is; that by the product may change."
+    " of success is the product of both heads, scaled or not. AUROC says how well a probability tells candidates apart; success"
+    " given a plan is asked of candidates with a plan. Numbers are means over the trainings; intervals are 95 %, scenes resampled and the"
+    f" error of few trainings added (of one training: of this very one), none of ECE and Brier score below {MIN_SCENES} scenes. The ECE of"
+    " resampled candidates is biased up: its interval may lie above a small value. The last column is the Brier score of whoever"
+    " says the rate of the split for every candidate. Scaling leaves the order by one head as it is; that by the product may change."
 )
 
 
@@ -186,24 +144,13 @@ def _measured(policy: Policy, name: str, states: Mapping[str, Judged], seed: int
     own = states[STATES[0]]
     if not len(own.happened):
         return [], {}
-    bootstrap, rate = SceneBootstrap(own.scene_ids, seed), float(own.happened.mean())
     prefix = f"test.{policy.name}.{name}"
-    metrics = {f"{prefix}.rate": rate, f"{prefix}.brier_of_rate": rate * (1.0 - rate)}
-    cells: dict[tuple[str, str], str] = {}
-    for state, judged in states.items():
-        for measure, draws in (("ece", judged.ece(bootstrap, policy.name)), ("brier", judged.brier(bootstrap, policy.name))):
-            values = flat(f"{prefix}.{state}.{measure}", draws.estimate())
-            metrics |= values if bootstrap.is_telling else {f"{prefix}.{state}.{measure}": draws.value}
-            cells[measure, state] = _shown(draws, bootstrap, "{:.2f}" if measure == "ece" else "{:.4f}", 100.0 if measure == "ece" else 1.0)
-    shown = [cells.get((measure, state)) for measure in ("ece", "brier") for state in STATES]
-    happens = [f"{len(own.happened):,}", percent(rate), percent(float(own.p.mean()))]
-    return [policy.label, TITLES[name], *happens, *shown, f"{rate * (1.0 - rate):.4f}"], metrics
-
-
-def _shown(draws: Draws, bootstrap: SceneBootstrap, form: str, scale: float) -> str:
-    own = draws.estimate()
-    value, low, high = (form.format(scale * x) for x in (own.value, own.low, own.high))
-    return f"{value} [{low}, {high}]" if bootstrap.is_telling else value
+    metrics = {f"{prefix}.rate": own.rate, f"{prefix}.brier_of_rate": own.brier_of_rate}
+    fits = {state: Fit.of(judged, seed, policy.name) for state, judged in states.items()}
+    for state, fit in fits.items():
+        metrics |= fit.metrics(f"{prefix}.{state}")
+    scaled_cells = [fits[STATES[1]].shown_ece, fits[STATES[1]].shown_brier] if STATES[1] in fits else [None, None]
+    return [policy.label, *row_of(name, own, fits[STATES[0]]), *scaled_cells, f"{own.brier_of_rate:.4f}"], metrics
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -18,17 +18,19 @@ import pyarrow as pa
 
 from model.settings import scheme_named
 from pipelines.frames import frame_of
-from reports.calibration import calibration_section
+from reports.calibration import COLUMNS, N_BINS, Fit, Judged, row_of
 from reports.entries import FIRST_RANK, Entry, entries_of, entry_of, flat, hard_groups, random_first_rank, random_mean, shown_rank
 from reports.load import Task, candidate_frame, check_parts, group_frame, of_scheme, scheme_note
-from reports.metrics import HARD, MIN_SCENES, best_threshold, coverage, expected_random_success, is_hard, recalls
+from reports.metrics import HARD, MIN_SCENES, coverage, expected_random_success, is_hard
 from reports.policies import FULL_PLANNER, IK_AND_GRIPPER, IK_ONLY, Policy
 from reports.ranking import KS, TASK_TITLE, timing_frame
 from reports.report import Report
-from reports.resampling import Draws, SceneBootstrap, auroc_draws
+from reports.resampling import Draws, SceneBootstrap
+from reports.solvability import HEADER as SOLVABILITY_HEADER
+from reports.solvability import best_of_groups, solvability_of
 from reports.sources import Sources, folder_beside
 from reports.submission import Submission, read_submission
-from splits.markdown import percent, table
+from splits.markdown import table
 from splits.release_reader import Release
 from tables.errors import PlaceBenchError
 from tables.vocabulary import Split, SplitScheme
@@ -119,8 +121,10 @@ def _policies(submitted: Entry, others: Sequence[Entry], prefix: str) -> tuple[l
     hard = hard_groups(entries)
     ranks = submitted.rankings[0].ranks
     expected = [expected_random_success(own, k) for own, k in (*((ranks, k) for k in KS), (ranks.filter(is_hard()), 1))]
-    rows: list[list[object]] = [["Random, mean", *(None if value is None else f"{100 * value:.1f}" for value in expected)]]
-    metrics = {f"{prefix}.random.s{k}_expected": value for k, value in zip(KS, expected, strict=False) if value is not None}
+    rows: list[list[object]] = [["Random, mean", *expected]]
+    metrics: dict[str, float] = {}
+    for k, own_mean in zip(KS, expected, strict=False):
+        metrics |= flat(f"{prefix}.random.s{k}_expected", own_mean)
     for entry in entries:
         own = {k: entry.s(k) for k in KS}
         rows.append([entry.policy.label, *own.values(), hard[entry.policy.name]])
@@ -169,26 +173,10 @@ def _solvability(inputs: _Inputs, scored: pl.DataFrame) -> tuple[list[str], dict
     metrics: dict[str, float] = {}
     has_threshold = Split.VALIDATION.value in inputs.submission.splits
     for task in Task:
-        test = _best_scores(inputs.submitted, task)
-        scores, labels = test["score"].to_numpy(), test["success"].to_numpy()
-        bootstrap = SceneBootstrap(test["scene_id"].to_list(), inputs.seed)
-        area = auroc_draws(scores, labels, bootstrap)
-        shown = None if area is None else f"{100 * area.value:.2f}"
-        name = f"test.{task.value}.{SUBMISSION.name}.solvability"
-        if area is not None and bootstrap.is_telling:
-            shown = str(area.estimate())
-            metrics |= flat(f"{name}.auroc", area.estimate())
-        elif area is not None:
-            metrics[f"{name}.auroc"] = area.value
-        recall = None
-        if has_threshold:
-            known = _best_scores(scored.filter(pl.col("split") == Split.VALIDATION.value), task)
-            threshold = best_threshold(known["score"].to_numpy(), known["success"].to_numpy())
-            recall = None if threshold is None else recalls(scores, labels, threshold)
-        cells = (recall.balanced_accuracy, recall.recall_true, recall.recall_false) if recall else (None,) * 3
-        if recall is not None:
-            metrics[f"{name}.balanced_accuracy"] = recall.balanced_accuracy
-        rows.append([task.value, f"{len(labels):,}", f"{int(labels.sum()):,}", shown, *map(percent, cells)])
+        known = [best_of_groups(scored, task, Split.VALIDATION)] if has_threshold else []
+        own = solvability_of([best_of_groups(inputs.submitted, task, Split.TEST)], known, inputs.seed, SUBMISSION.name)
+        rows.append([task.value, *own.cells()])
+        metrics |= own.metrics(f"test.{task.value}.{SUBMISSION.name}.solvability")
     how = (
         "The threshold is the one with the best balanced accuracy on the validation split."
         if has_threshold
@@ -198,19 +186,32 @@ def _solvability(inputs: _Inputs, scored: pl.DataFrame) -> tuple[list[str], dict
         f"A group's score is the largest in it; groups without candidates are left out. {how} A dash means that a split lacks one of"
         " the two kinds of group."
     )
-    header = ["task", "groups", "solvable", "AUROC [95 %]", "balanced accuracy", "recall solvable", "recall unsolvable"]
-    return ["## Solvability", text, table(header, rows)], metrics
-
-
-def _best_scores(frame: pl.DataFrame, task: Task) -> pl.DataFrame:
-    return frame.group_by(task.group).agg(pl.col("score").max(), pl.col("success").any()).sort(task.group)
+    return ["## Solvability", text, table(["task", *SOLVABILITY_HEADER], rows)], metrics
 
 
 def _calibration(inputs: _Inputs) -> tuple[list[str], dict[str, float]]:
     if not inputs.submission.has_probabilities:
         return ["## Calibration", "No probabilities were given, so there is nothing to say about them."], {}
-    section, metrics = calibration_section(inputs.submitted, inputs.seed, f"test.{SUBMISSION.name}.calibration")
-    return ["## Calibration", *section], metrics
+    frame, rows = inputs.submitted, []
+    metrics: dict[str, float] = {}
+    judged = {
+        "plan": (frame, pl.col("p_plan"), "y_plan"),
+        "exec": (frame.filter("y_plan"), pl.col("p_exec"), "success"),
+        "success": (frame, pl.col("p_plan") * pl.col("p_exec"), "success"),
+    }
+    for name, (own, probability, happened) in judged.items():
+        if own.is_empty():
+            continue
+        p = own.select(probability).to_series().to_numpy()
+        of = Judged(p[None], own[happened].to_numpy(), own["scene_id"].to_list())
+        fit, prefix = Fit.of(of, inputs.seed, SUBMISSION.name), f"test.{SUBMISSION.name}.calibration.{name}"
+        rows.append([*row_of(name, of, fit), f"{of.brier_of_rate:.4f}"])
+        metrics |= fit.metrics(prefix) | {f"{prefix}.rate": of.rate}
+    text = (
+        f"ECE is over {N_BINS} bins of equal width. The last column is the Brier score of whoever says the rate of this split for every"
+        " candidate: a probability with a higher one knows less than that."
+    )
+    return ["## Calibration", text, table([*COLUMNS, "Brier score of the rate"], rows)], metrics
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -35,9 +35,7 @@ def ladder_metrics(prefix: str, entries: Sequence[Entry], covered: Estimate | No
         if cost is not None:
             values[f"{name}.decision_ms"] = cost.mean_ms
     for k in KS:
-        expected = expected_random_success(first.rankings[0].ranks, k)
-        if expected is not None:
-            values[f"{prefix}.{RANDOM.name}.s{k}_expected"] = expected
+        values |= flat(f"{prefix}.{RANDOM.name}.s{k}_expected", expected_random_success(first.rankings[0].ranks, k))
     return values
 
 
@@ -80,8 +78,7 @@ def _row(entry: Entry, is_in_paper: bool) -> list[str | None]:
 def _expected_row(entry: Entry, is_in_paper: bool) -> list[str | None]:
     cells: list[str | None] = ["Random, mean of all orders"]
     for k in KS:
-        value = expected_random_success(entry.rankings[0].ranks, k)
-        cells += _with_paper(is_in_paper, None if value is None else f"{100 * value:.1f}", None)
+        cells += _with_paper(is_in_paper, _text(expected_random_success(entry.rankings[0].ranks, k)), None)
     return [*cells, *_with_paper(is_in_paper, None, None)]
 
 

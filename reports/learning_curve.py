@@ -74,10 +74,11 @@ def learning_curve_report(tables: Mapping[str, pa.Table], predictions: pa.Table,
 
 
 _ABOUT = (
-    "S1 on covered groups of the validation split by the number of scenes of the train split, {n_train} in all, that a ranker was trained"
-    " on: mean over its trainings, with the 95 % interval that takes into account that groups of a scene are alike and that trainings"
-    " differ. The epoch of a network is chosen on this split too, so what is compared are sizes, not rankers with those that learn"
-    " nothing. The test split is not read."
+    "S1 on covered groups of the validation split by the number of scenes of the train split, {n_train} in all, that a ranker was"
+    " trained on: mean over its trainings, with the 95 % interval that takes into account that groups of a scene are alike and that"
+    " trainings differ; where there is one training it is of this very one, and so is what twice the scenes are worth. The epoch of a"
+    " network is chosen on this split too, so what is compared are sizes, not rankers with those that learn nothing. The test split is"
+    " not read."
 )
 
 

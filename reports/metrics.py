@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 from jaxtyping import Bool, Float
-from scipy import stats
+from scipy import optimize, stats
 
 from reports.load import Task
 
@@ -103,10 +103,10 @@ def expected_random_hits(ranks: pl.DataFrame, k: int) -> Float[np.ndarray, "n"]:
     return np.array([1.0 - math.comb(n - s, min(k, n)) / math.comb(n, min(k, n)) for n, s in covered.iter_rows()], dtype=np.float64)
 
 
-def expected_random_success(ranks: pl.DataFrame, k: int) -> float | None:
+def expected_random_success(ranks: pl.DataFrame, k: int) -> Estimate | None:
     """S_K of a uniformly random order, averaged over all orders; None where no group is covered."""
-    hits = expected_random_hits(ranks, k)
-    return math.fsum(hits) / len(hits) if len(hits) else None
+    covered = ranks.filter(pl.col("first_success").is_not_null())
+    return proportion(expected_random_hits(ranks, k), covered["scene_id"].to_list())
 
 
 def is_hard() -> pl.Expr:
@@ -114,7 +114,9 @@ def is_hard() -> pl.Expr:
     return pl.col("n_success").is_in(HARD)
 
 
-def proportion(hits: Bool[np.ndarray, "n"] | Bool[np.ndarray, "r n"], scene_ids: Sequence[str]) -> Estimate | None:
+def proportion(
+    hits: Bool[np.ndarray, "n"] | Bool[np.ndarray, "r n"] | Float[np.ndarray, "n"] | Float[np.ndarray, "r n"], scene_ids: Sequence[str]
+) -> Estimate | None:
     """Share of hits, with an interval that takes into account that units of a scene are alike; None without units.
 
     It is the interval of Wilson with the effective number of units: n over the design effect, which compares the variance between
@@ -124,8 +126,8 @@ def proportion(hits: Bool[np.ndarray, "n"] | Bool[np.ndarray, "r n"], scene_ids:
     truth in 92 to 100 % of 400 runs each; a percentile bootstrap over scenes in 85 to 100 %, and it has no width where all scenes agree.
 
     Args:
-        hits: of each unit; a row of them a training, where a policy was trained several times. The share is then the mean over
-            trainings, and their variance, times (t / z)^2 for the few there are, adds to that of the scenes.
+        hits: of each unit, or what share of it is one; a row of them a training, where a policy was trained several times. The share
+            is then the mean over trainings, and their variance, times (t / z)^2 for the few there are, adds to that of the scenes.
     """
     rows = np.atleast_2d(np.asarray(hits, dtype=np.float64))
     if rows.shape[1] == 0:
@@ -134,10 +136,15 @@ def proportion(hits: Bool[np.ndarray, "n"] | Bool[np.ndarray, "r n"], scene_ids:
     value = float(n_hits.sum() / n_units.sum())
     n_effective = _effective_units(n_hits, n_units)
     if len(rows) > 1 and 0.0 < value < 1.0:
-        spread = float(rows.mean(axis=1).var(ddof=1)) / len(rows) * (float(stats.t.ppf(0.975, len(rows) - 1)) / _Z95) ** 2
+        spread = float(rows.mean(axis=1).var(ddof=1)) / len(rows) * of_few(len(rows)) ** 2
         n_effective = 1.0 / (1.0 / n_effective + spread / (value * (1.0 - value)))
     low, high = wilson(value, n_effective)
     return Estimate(value, low, high, rows.shape[1], len(n_units))
+
+
+def of_few(n: int) -> float:
+    """t / z: how much wider a 95 % interval is whose standard error was estimated from n at least 2 values."""
+    return float(stats.t.ppf(0.975, n - 1)) / _Z95
 
 
 def wilson(value: float, n: float) -> tuple[float, float]:
@@ -154,6 +161,30 @@ def clopper_pearson(k: int, n: int) -> Estimate | None:
         return None
     interval = stats.binomtest(k, n).proportion_ci(confidence_level=0.95, method="exact")
     return Estimate(k / n, float(interval.low), float(interval.high), n, n)
+
+
+def mean_of_two(a: Estimate, b: Estimate) -> Estimate:
+    """Mean of two shares of different units, from their intervals (MOVER: Zou and Donner, Stat. Med. 27, 2008)."""
+    value = (a.value + b.value) / 2
+    below, above = (math.hypot(x, y) / 2 for x, y in ((a.value - a.low, b.value - b.low), (a.high - a.value, b.high - b.value)))
+    return Estimate(value, value - below, value + above, a.n + b.n, max(a.n_scenes, b.n_scenes))
+
+
+def auroc_interval(area: float, n_true: float, n_false: float) -> tuple[float, float]:
+    """95 % score interval of an area under the ROC curve of few independent units (method 5 of Newcombe, Stat. Med. 25, 2006).
+
+    It asks which areas would give the one that was found, with the variance that they would have (Hanley and McNeil, Radiology 143,
+    1982), so that it has a width where all units are told apart.
+    """
+    more = (n_true + n_false) / 2 - 1
+
+    def error(a: float) -> float:
+        return _Z95 * math.sqrt(a * (1 - a) * (1 + more * (1 - a) / (2 - a) + more * a / (1 + a)) / (n_true * n_false))
+
+    tiny = 1e-9
+    low = optimize.brentq(lambda a: area - a - error(a), 0.0, area * (1 - tiny)) if area > tiny else 0.0
+    high = optimize.brentq(lambda a: a - area - error(a), area + tiny * (1 - area), 1.0) if area < 1 - tiny else 1.0
+    return float(low), float(high)
 
 
 def auroc(scores: Float[np.ndarray, "n"], labels: Bool[np.ndarray, "n"]) -> float | None:
@@ -216,4 +247,4 @@ def _effective_units(n_hits: Float[np.ndarray, "s"], n_units: Float[np.ndarray, 
     value, total = hits.sum() / units.sum(), units.sum()
     between_scenes = len(units) / (len(units) - 1) * float(np.sum((hits - value * units) ** 2)) / total**2
     design_effect = max(1.0, float(between_scenes * total / (value * (1.0 - value))))
-    return n / design_effect * (_Z95 / float(stats.t.ppf(0.975, n_scenes - 1))) ** 2
+    return n / design_effect / of_few(n_scenes) ** 2

@@ -1,20 +1,22 @@
 """How sure a mean over groups, a difference or a ratio of two is, when scenes and the trainings of a policy are resampled together.
 
 Everything that rests on the same groups shares the draws of scenes, so differences are paired. A policy that was trained several times
-has a row a training; each draw takes as many trainings as there are, with replacement, whatever those of other policies (the pigeonhole
-bootstrap: Owen, Ann. Appl. Stat. 1, 2007). A share by itself has its interval from metrics.proportion, which keeps its width near 100 %.
+has a row a training: each draw adds the error of their mean, drawn for each policy by itself, and wider for the few that there are, as
+metrics.proportion has it, where a share by itself has its interval (it keeps its width near 100 %). Of a policy that was trained once
+nobody knows how much another training would differ: its draws are of this very training.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import stats
 
-from reports.metrics import MIN_SCENES, N_DRAWS, Estimate
+from reports.metrics import MIN_SCENES, N_DRAWS, Estimate, auroc_interval, of_few
 from tables.identity import rng_for
 
 LEVEL = 0.95
@@ -42,6 +44,11 @@ class Draws:
         low, high = np.quantile(self.draws, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
         return Estimate(self.value, float(low), float(high), self.n, self.n_scenes)
 
+    def within(self, least: float, most: float) -> Estimate:
+        """The same of a number that cannot be outside of bounds, as a draw may be to which the error of trainings was added."""
+        own = self.estimate()
+        return replace(own, low=max(least, own.low), high=min(most, own.high))
+
 
 class SceneBootstrap:
     """Draws of the scenes that some groups belong to.
@@ -66,9 +73,23 @@ class SceneBootstrap:
         return self.n_scenes >= MIN_SCENES
 
     @property
-    def unit_weights(self) -> Float[np.ndarray, "d n"]:
-        """How often each draw holds each unit."""
-        return np.asarray(self._weights[:, self._scene])
+    def scene_weights(self) -> Float[np.ndarray, "d s"]:
+        """How often each draw holds each scene."""
+        return self._weights
+
+    def n_of_scene(self, kind: Bool[np.ndarray, "n"]) -> Float[np.ndarray, "s"]:
+        """Number of the units of a kind in each scene."""
+        return np.bincount(self._scene[kind], minlength=self.n_scenes).astype(np.float64)
+
+    def won(self, scores: Float[np.ndarray, "n"], labels: Bool[np.ndarray, "n"]) -> Float[np.ndarray, "s s"]:
+        """Pairs of a true unit of one scene and a false one of another in which the true one scores higher, ties counting half."""
+        of_true, scene_of_true = scores[labels], self._scene[labels]
+        won = np.zeros((self.n_scenes, self.n_scenes))
+        for scene in np.unique(self._scene[~labels]):
+            of_false = np.sort(scores[~labels & (self._scene == scene)])
+            below = np.searchsorted(of_false, of_true, "left") + np.searchsorted(of_false, of_true, "right")
+            won[:, scene] = np.bincount(scene_of_true, weights=0.5 * below, minlength=self.n_scenes)
+        return won
 
     def mean(self, values: Float[np.ndarray, "n"] | Float[np.ndarray, "r n"], name: str = "") -> Draws:
         """Mean over the units and, where there are several, the trainings.
@@ -96,12 +117,14 @@ class SceneBootstrap:
         )
 
     def _over_trainings(self, by_training: Float[np.ndarray, "e r"], name: str) -> Float[np.ndarray, "e"]:
-        """Mean over as many trainings as there are, drawn with replacement; draws of scenes that gave no number are left out before."""
-        r = by_training.shape[1]
+        """Mean over the trainings with the error that it has for being of few; draws of scenes that gave no number are left out before."""
+        n, r = by_training.shape
         if r == 1:
             return by_training[:, 0]
-        shares = rng_for(self._seed, "bootstrap-trainings", name, r).multinomial(r, np.full(r, 1.0 / r), size=N_DRAWS) / r
-        return np.asarray(np.einsum("dr,dr->d", by_training, shares[: len(by_training)]))
+        error = by_training.std(axis=1, ddof=1) / np.sqrt(r) * of_few(r)
+        return np.asarray(
+            by_training.mean(axis=1) + error * rng_for(self._seed, "bootstrap-trainings", name, r).standard_normal(N_DRAWS)[:n]
+        )
 
 
 def paired_difference(
@@ -140,22 +163,43 @@ def auroc_draws(scores: Float[np.ndarray, "n"], labels: Bool[np.ndarray, "n"], b
     labels = np.asarray(labels, dtype=bool)
     if labels.all() or not labels.any():
         return None
-    _, level = np.unique(np.asarray(scores, dtype=np.float64), return_inverse=True)
-    order = np.argsort(level, kind="stable")
-    starts = np.searchsorted(level[order], np.arange(level.max() + 1))
+    won = bootstrap.won(np.asarray(scores, dtype=np.float64), labels)
+    n_true, n_false = (bootstrap.n_of_scene(kind) for kind in (labels, ~labels))
 
-    def area(weights: Float[np.ndarray, "d n"]) -> Float[np.ndarray, "e"]:
-        of_true = np.add.reduceat(weights[:, order] * labels[order], starts, axis=1)
-        of_false = np.add.reduceat(weights[:, order] * ~labels[order], starts, axis=1)
-        below = np.cumsum(of_false, axis=1) - of_false
-        total = of_true.sum(axis=1) * of_false.sum(axis=1)
-        won = (of_true * (below + 0.5 * of_false)).sum(axis=1)
-        return np.asarray(won[total > 0.0] / total[total > 0.0])
+    def areas(weights: Float[np.ndarray, "d s"]) -> Float[np.ndarray, "e"]:
+        pairs = (weights @ n_true) * (weights @ n_false)
+        is_defined = pairs > 0.0
+        return np.asarray(((weights @ won) * weights).sum(axis=1)[is_defined] / pairs[is_defined])
 
-    value = float(area(np.ones((1, len(labels))))[0])
-    parts = np.array_split(bootstrap.unit_weights, max(1, N_DRAWS * len(labels) // _CELLS))
-    return Draws(value, np.concatenate([area(part) for part in parts]), len(labels), bootstrap.n_scenes)
+    value = float(areas(np.ones((1, bootstrap.n_scenes)))[0])
+    return Draws(value, areas(bootstrap.scene_weights), len(labels), bootstrap.n_scenes)
+
+
+def auroc_estimate(
+    scores: Float[np.ndarray, "r n"], labels: Bool[np.ndarray, "n"], scene_ids: Sequence[str], seed: int, name: str = ""
+) -> Estimate | None:
+    """Area under the ROC curve, the mean over trainings, with its interval; None where a kind of unit is missing.
+
+    Where one kind is in fewer than `MIN_SCENES` scenes it is the interval of `metrics.auroc_interval`, for as many units of each kind as
+    scenes that hold it, and the error of the trainings added to it: resampled, five units of a kind that are told apart seem certain.
+
+    Args:
+        scores: of each unit, a row a training.
+        name: of the policy that was trained.
+    """
+    bootstrap = SceneBootstrap(scene_ids, seed)
+    areas = [own for row in scores if (own := auroc_draws(row, labels, bootstrap)) is not None]
+    if not areas:
+        return None
+    n_true, n_false = (int((bootstrap.n_of_scene(kind) > 0).sum()) for kind in (labels, ~labels))
+    if min(n_true, n_false) >= MIN_SCENES:
+        return bootstrap.mean_of(areas, name).within(0.0, 1.0)
+    values = np.array([own.value for own in areas])
+    value = float(values.mean())
+    low, high = auroc_interval(value, n_true, n_false)
+    error = float(values.std(ddof=1)) / np.sqrt(len(values)) * float(stats.t.ppf(0.975, len(values) - 1)) if len(values) > 1 else 0.0
+    low, high = max(0.0, value - np.hypot(value - low, error)), min(1.0, value + np.hypot(high - value, error))
+    return Estimate(value, float(low), float(high), len(labels), bootstrap.n_scenes)
 
 
 _ROUNDING = 1e-12
-_CELLS = 2_000_000  # of draws x units that are in memory at once

@@ -19,36 +19,58 @@ from reports import paper
 from reports.command import Asked, report_command
 from reports.entries import flat, prediction_frames
 from reports.load import Task, candidate_frame, of_scheme, scheme_note
-from reports.metrics import MIN_SCENES, Estimate, best_threshold, proportion
+from reports.metrics import MIN_SCENES, Estimate, best_threshold, mean_of_two, proportion
 from reports.policies import LEARNED, Policy
 from reports.ranker_figures import RocCurve, RocPanel, roc_figure
 from reports.ranking import TASK_TITLE
 from reports.report import Report, ReportError
-from reports.resampling import Draws, SceneBootstrap, auroc_draws
+from reports.resampling import auroc_estimate
 from splits.markdown import table
 from tables.vocabulary import Split, SplitScheme
+
+HEADER = (
+    "groups", "solvable", "unsolvable", "AUROC [95 %]", "balanced accuracy [95 %]", "recall solvable [95 %]", "recall unsolvable [95 %]",
+    "threshold",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solvability:
-    """How the largest p_succ of a group tells groups with a success from those without, over the trainings of a policy.
+    """How the largest score of a group tells groups with a success from those without, over the trainings of a policy.
 
     Attributes:
         scores: of each group, a row a training.
         labels: whether a group holds a success.
-        thresholds: of each training; none where the validation split lacks a kind of group.
-        area: None where the test split lacks a kind.
+        thresholds: of each training; none where there was nothing to choose one on.
+        area: None where a kind of group is missing.
     """
 
     scores: Float[np.ndarray, "r n"]
     labels: Bool[np.ndarray, "n"]
-    scene_ids: list[str]
     thresholds: tuple[float, ...]
-    area: Draws | None
-    balanced_accuracy: Draws | None
-    recall_solvable: Estimate | None
-    recall_unsolvable: Estimate | None
-    is_telling: bool
+    area: Estimate | None
+    recall_solvable: Estimate | None = None
+    recall_unsolvable: Estimate | None = None
+
+    @property
+    def balanced_accuracy(self) -> Estimate | None:
+        """Mean of both recalls."""
+        known = self.recall_solvable, self.recall_unsolvable
+        return mean_of_two(known[0], known[1]) if known[0] is not None and known[1] is not None else None
+
+    def cells(self) -> list[object]:
+        """A row of a table under `HEADER`."""
+        n, n_true = len(self.labels), int(self.labels.sum())
+        threshold = f"{np.mean(self.thresholds):.3f}" if self.thresholds else None
+        counts = (f"{number:,}" for number in (n, n_true, n - n_true))
+        return [*counts, self.area, self.balanced_accuracy, self.recall_solvable, self.recall_unsolvable, threshold]
+
+    def metrics(self, prefix: str) -> dict[str, float]:
+        metrics = {f"{prefix}.n_solvable": float(self.labels.sum()), f"{prefix}.n_unsolvable": float((~self.labels).sum())}
+        for name, own in (("auroc", self.area), ("balanced_accuracy", self.balanced_accuracy)):
+            metrics |= flat(f"{prefix}.{name}", own)
+        metrics |= flat(f"{prefix}.recall_solvable", self.recall_solvable) | flat(f"{prefix}.recall_unsolvable", self.recall_unsolvable)
+        return metrics | ({f"{prefix}.threshold": float(np.mean(self.thresholds))} if self.thresholds else {})
 
 
 def solvability_report(
@@ -76,15 +98,12 @@ def solvability_report(
     metrics: dict[str, float] = {}
     panels: dict[str, RocPanel] = {}
     for task in Task:
-        judged = {policy: _solvability(policy, list(own.values()), task, seed) for policy, own in frames.items()}
-        rows = [_row(policy, own) for policy, own in judged.items()] + ([_paper_row(task)] if scheme is SplitScheme.SCENE else [])
-        header = [
-            "", "groups", "solvable", "unsolvable", "AUROC [95 %]", "balanced accuracy [95 %]", "recall solvable [95 %]",
-            "recall unsolvable [95 %]", "threshold",
-        ]  # fmt: skip
-        blocks += [f"## {TASK_TITLE[task]}", table(header, rows)]
+        judged = {policy: _judged(policy, list(own.values()), task, seed) for policy, own in frames.items()}
+        rows = [[policy.label, *own.cells()] for policy, own in judged.items()]
+        rows += [_paper_row(task)] if scheme is SplitScheme.SCENE else []
+        blocks += [f"## {TASK_TITLE[task]}", table(["", *HEADER], rows)]
         for policy, solved in judged.items():
-            metrics |= _metrics(solved, f"test.{task.value}.{policy.name}.solvability")
+            metrics |= solved.metrics(f"test.{task.value}.{policy.name}.solvability")
         if any(solved.area is not None for solved in judged.values()):
             panels[TASK_TITLE[task]] = _panel(judged, task, is_paper=scheme is SplitScheme.SCENE)
     figures = {}
@@ -104,68 +123,46 @@ def _about(scheme: SplitScheme) -> str:
         "A group is solvable when it holds a success; its score is the largest predicted success probability in it. AUROC needs no"
         " threshold. For the other columns a group is called solvable from the threshold on that has the best balanced accuracy on the"
         " validation split, each training its own (their mean is shown). Numbers are percentages and means over the trainings; intervals"
-        f" are 95 %, scenes and trainings resampled, none below {MIN_SCENES} scenes but for recalls. A dash means that a split lacks one of"
-        f" the two kinds of group. Groups without candidates are left out.{in_paper}"
+        " are 95 %, for scenes whose groups are alike and for trainings that differ (of one training: for this very one). Where fewer than"
+        f" {MIN_SCENES} scenes hold a kind of group, that of the AUROC is a score interval for as many groups as scenes. A dash means that"
+        f" a split lacks one of the two kinds. Groups without candidates are left out.{in_paper}"
     )
 
 
-def _solvability(policy: Policy, trainings: Sequence[pl.DataFrame], task: Task, seed: int) -> Solvability:
-    test = [_groups(own, task, Split.TEST) for own in trainings]
-    scores, labels = np.stack([own["p_max"].to_numpy() for own in test]), test[0]["success"].to_numpy()
-    scene_ids = test[0]["scene_id"].to_list()
-    known = [_groups(own, task, Split.VALIDATION) for own in trainings]
-    chosen = [best_threshold(own["p_max"].to_numpy(), own["success"].to_numpy()) for own in known]
-    thresholds = tuple(value for value in chosen if value is not None)
-    bootstrap = SceneBootstrap(scene_ids, seed)
-    areas = [own for row in scores if (own := auroc_draws(row, labels, bootstrap)) is not None]
-    area = bootstrap.mean_of(areas, policy.name) if areas else None
-    balanced = solvable = unsolvable = None
-    if thresholds and area is not None:
-        is_called = scores >= np.array(thresholds)[:, None]
-        scenes = np.array(scene_ids)
-        solvable = proportion(is_called[:, labels], scenes[labels].tolist())
-        unsolvable = proportion(~is_called[:, ~labels], scenes[~labels].tolist())
-        balanced = balanced_accuracy_draws(is_called, labels, bootstrap, policy.name)
-    return Solvability(scores, labels, scene_ids, thresholds, area, balanced, solvable, unsolvable, bootstrap.is_telling)
-
-
-def balanced_accuracy_draws(
-    is_called: Bool[np.ndarray, "r n"], labels: Bool[np.ndarray, "n"], bootstrap: SceneBootstrap, name: str
-) -> Draws:
-    """Mean of the recalls of both kinds of unit, of which there must be some; draws without one of them are left out.
+def solvability_of(test: Sequence[pl.DataFrame], known: Sequence[pl.DataFrame], seed: int, name: str) -> Solvability:
+    """Judge what each training of a policy says of groups.
 
     Args:
-        is_called: what each training calls true.
-        labels: what is.
-        bootstrap: of the scenes of the units.
-        name: of the policy that was trained.
+        test: the groups that are judged, as `best_of_groups` has them, one frame a training.
+        known: those of the validation split, which choose the threshold; empty for none.
+        seed: of the resampling.
+        name: of the policy.
     """
-    n_true, n_false = bootstrap.mean(labels), bootstrap.mean(~labels)
-    right_true, right_false = bootstrap.mean(is_called & labels, name), bootstrap.mean(~is_called & ~labels, name)
-    is_defined = (n_true.draws > 0.0) & (n_false.draws > 0.0)
-    draws = (right_true.draws[is_defined] / n_true.draws[is_defined] + right_false.draws[is_defined] / n_false.draws[is_defined]) / 2
-    value = (right_true.value / n_true.value + right_false.value / n_false.value) / 2
-    return Draws(value, draws, len(labels), bootstrap.n_scenes)
+    scores, labels = np.stack([own["best"].to_numpy() for own in test]), test[0]["success"].to_numpy()
+    scene_ids = test[0]["scene_id"].to_list()
+    chosen = [best_threshold(own["best"].to_numpy(), own["success"].to_numpy()) for own in known]
+    thresholds = tuple(value for value in chosen if value is not None)
+    area = auroc_estimate(scores, labels, scene_ids, seed, name)
+    if not thresholds or area is None:
+        return Solvability(scores, labels, thresholds, area)
+    is_called, scenes = scores >= np.array(thresholds)[:, None], np.array(scene_ids)
+    recalls = (proportion(right[:, kind], scenes[kind].tolist()) for right, kind in ((is_called, labels), (~is_called, ~labels)))
+    return Solvability(scores, labels, thresholds, area, *recalls)
 
 
-def _groups(candidates: pl.DataFrame, task: Task, split: Split) -> pl.DataFrame:
-    return (
-        candidates.filter(pl.col("split") == split.value)
-        .group_by(task.group)
-        .agg(pl.col("score").max().exp().alias("p_max"), pl.col("success").any())
-        .sort(task.group)
-    )
+def best_of_groups(candidates: pl.DataFrame, task: Task, split: Split) -> pl.DataFrame:
+    """The largest `score` of each group of a split as `best`, and whether it holds a `success`."""
+    own = candidates.filter(pl.col("split") == split.value)
+    return own.group_by(task.group).agg(pl.col("score").max().alias("best"), pl.col("success").any()).sort(task.group)
 
 
-def _row(policy: Policy, own: Solvability) -> list[object]:
-    n, n_true = len(own.labels), int(own.labels.sum())
-    threshold = f"{np.mean(own.thresholds):.3f}" if own.thresholds else None
-    draws = (_shown(draws, own.is_telling) for draws in (own.area, own.balanced_accuracy))
-    return [policy.label, f"{n:,}", f"{n_true:,}", f"{n - n_true:,}", *draws, own.recall_solvable, own.recall_unsolvable, threshold]
+def _judged(policy: Policy, trainings: Sequence[pl.DataFrame], task: Task, seed: int) -> Solvability:
+    test, known = ([_p_succ(best_of_groups(own, task, split)) for own in trainings] for split in (Split.TEST, Split.VALIDATION))
+    return solvability_of(test, known, seed, policy.name)
 
 
-def _shown(draws: Draws | None, is_telling: bool) -> str | None:
-    return None if draws is None else str(draws.estimate()) if is_telling else f"{100 * draws.value:.1f}"
+def _p_succ(groups: pl.DataFrame) -> pl.DataFrame:
+    return groups.with_columns(pl.col("best").exp())
 
 
 def _paper_row(task: Task) -> list[object]:
@@ -174,15 +171,6 @@ def _paper_row(task: Task) -> list[object]:
     cells = [None if value is None else f"{value:.2f}" for value in percentages]
     n = theirs.n_solvable + theirs.n_unsolvable
     return ["paper", f"{n:,}", f"{theirs.n_solvable:,}", f"{theirs.n_unsolvable:,}", *cells, None]
-
-
-def _metrics(own: Solvability, prefix: str) -> dict[str, float]:
-    metrics = {f"{prefix}.n_solvable": float(own.labels.sum()), f"{prefix}.n_unsolvable": float((~own.labels).sum())}
-    for name, draws in (("auroc", own.area), ("balanced_accuracy", own.balanced_accuracy)):
-        if draws is not None:
-            metrics |= flat(f"{prefix}.{name}", draws.estimate()) if own.is_telling else {f"{prefix}.{name}": draws.value}
-    metrics |= flat(f"{prefix}.recall_solvable", own.recall_solvable) | flat(f"{prefix}.recall_unsolvable", own.recall_unsolvable)
-    return metrics | ({f"{prefix}.threshold": float(np.mean(own.thresholds))} if own.thresholds else {})
 
 
 def _panel(judged: Mapping[Policy, Solvability], task: Task, *, is_paper: bool) -> RocPanel:
@@ -205,9 +193,9 @@ def _group_rows(frames: Mapping[Policy, Mapping[int, pl.DataFrame]]) -> list[dic
     """What is plotted: the largest p_succ of every test group."""
     return [
         {"task": task.value, "policy": policy.name, "seed": seed, "scene_id": row["scene_id"], "target_id": row.get("target_id"),
-         "p_max": row["p_max"], "is_solvable": row["success"]}
+         "p_max": row["best"], "is_solvable": row["success"]}
         for task in Task for policy, own in frames.items() for seed, frame in own.items()
-        for row in _groups(frame, task, Split.TEST).iter_rows(named=True)
+        for row in _p_succ(best_of_groups(frame, task, Split.TEST)).iter_rows(named=True)
     ]  # fmt: skip
 
 

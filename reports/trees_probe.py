@@ -141,8 +141,7 @@ def _facts(groups: Mapping[Task, pl.DataFrame], ranks: Mapping[tuple[Policy, Tas
 
 def _expected_row(ranks: Mapping[tuple[Policy, Task], pl.DataFrame]) -> list[object]:
     fixed = ranks[RANDOM, Task.FIXED]
-    expected = [expected_random_success(own, 1) for own in (ranks[RANDOM, Task.JOINT], fixed, _hard(fixed))]
-    return ["Random, mean of all orders", *(None if value is None else f"{100 * value:.1f}" for value in expected)]
+    return ["Random, mean of all orders", *(expected_random_success(own, 1) for own in (ranks[RANDOM, Task.JOINT], fixed, _hard(fixed)))]
 
 
 def _heads(frames: Mapping[Policy, pl.DataFrame]) -> tuple[str, dict[str, float]]:

@@ -6,13 +6,14 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from reports.calibration import expected_calibration_error
+from reports.calibration import N_BINS
 from reports.calibration_report import Judged, calibration_report
 from reports.report import Report
 from reports.resampling import SceneBootstrap
 from reports.temperature import fitted_temperature
 from tables import schemas
 from tables.store import table_from_rows
+from tests.reports.reference import expected_calibration_error
 
 
 @pytest.fixture(scope="module")
@@ -26,10 +27,10 @@ def test_a_draw_of_ece_is_that_of_the_candidates_it_holds() -> None:
     scenes, p = [f"s{k % 12:02}" for k in range(240)], rng.random((2, 240))
     judged, bootstrap = Judged(p, rng.random(240) < p[0], scenes), SceneBootstrap(scenes, 3)
     one = Judged(p[:1], judged.happened, scenes).ece(bootstrap, "x")
-    for counts, made in zip(bootstrap.unit_weights[:50].astype(int), one.draws, strict=False):
+    for counts, made in zip(bootstrap.scene_weights[:50, np.arange(240) % 12].astype(int), one.draws, strict=False):
         repeated = np.repeat(np.arange(240), counts)
-        assert made == pytest.approx(expected_calibration_error(p[0][repeated], judged.happened[repeated]))
-    values = [expected_calibration_error(own, judged.happened) for own in p]
+        assert made == pytest.approx(expected_calibration_error(p[0][repeated], judged.happened[repeated], N_BINS))
+    values = [expected_calibration_error(own, judged.happened, N_BINS) for own in p]
     assert judged.ece(bootstrap, "x").value == pytest.approx(np.mean(values))
     assert judged.bins()[2].sum() == 2 * 240
 

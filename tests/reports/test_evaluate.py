@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from model.settings import SCHEME_OF_PREDICTIONS
-from reports.calibration import calibration_of, expected_calibration_error
+from reports.calibration import N_BINS, Fit, Judged
 from reports.evaluate import evaluation_report, main
 from reports.report import Report, ReportError
 from reports.submission import RELEASE_KEY, SPLIT_KEY, read_submission
@@ -26,6 +26,7 @@ from tables.schemas import PREDICTIONS
 from tables.store import read_sidecar, write_table
 from tables.vocabulary import SplitScheme
 from tests.model.synthetic_release import TOLERANCES
+from tests.reports.reference import expected_calibration_error
 from tests.splits.damage import PROVENANCE
 
 Tables = dict[str, pa.Table]
@@ -97,13 +98,18 @@ def test_rows_and_scale_mean_nothing(
     report = report_of(folder, scored, path)
     assert report_of(folder, scored.sample(fraction=1.0, shuffle=True, seed=shuffle), path) == report
     grown = report_of(folder, scored.with_columns(pl.col("score").rank("dense").cast(pl.Float64) * scale + offset), path)
-    assert grown.metrics == report.metrics
+    assert unscaled(grown) == unscaled(report)
+
+
+def unscaled(report: Report) -> dict[str, float]:
+    """Metrics that no growing function of the scores changes: all but the threshold."""
+    return {name: value for name, value in report.metrics.items() if not name.endswith(".threshold")}
 
 
 def test_probabilities_and_their_logarithms_say_the_same(folder: Path, noisy: pl.DataFrame, tmp_path: Path) -> None:
     log = noisy.select("candidate_id", log_p_plan=pl.col("p_plan").log(), log_p_exec=pl.col("p_exec").log())
     plain, logarithmic = report_of(folder, noisy, tmp_path / "a.parquet"), report_of(folder, log, tmp_path / "b.parquet")
-    assert plain.metrics == pytest.approx(logarithmic.metrics)
+    assert unscaled(plain) == pytest.approx(unscaled(logarithmic))
     assert "ordered by `p_plan * p_exec`" in plain.markdown
     assert "ordered by `log_p_plan + log_p_exec`" in logarithmic.markdown
     assert 0.0 < plain.metrics["test.submission.calibration.success.ece"] < 0.5
@@ -119,7 +125,12 @@ def test_the_validation_split_may_be_left_out_and_train_does_not_matter(
     of_test = noisy.join(candidates.filter(pl.col("split") == "test").select("candidate_id"), on="candidate_id")
     whole, test = report_of(folder, noisy, tmp_path / "a.parquet"), report_of(folder, of_test, tmp_path / "b.parquet")
     # Every joint group of the validation split is solvable, so none has a threshold there.
-    assert set(whole.metrics) - set(test.metrics) == {"test.fixed.submission.solvability.balanced_accuracy"}
+    judged = {
+        f"test.fixed.submission.solvability.{name}{end}"
+        for name in ("balanced_accuracy", "recall_solvable", "recall_unsolvable")
+        for end in ("", "_low", "_high")
+    }
+    assert set(whole.metrics) - set(test.metrics) == judged | {"test.fixed.submission.solvability.threshold"}
     assert "there is no threshold to choose" in test.markdown
     assert {name: whole.metrics[name] for name in test.metrics} == test.metrics
 
@@ -292,24 +303,24 @@ def test_several_trainings_in_one_file_are_too_many(folder: Path, predictions: p
         )
 
 
-@given(st.lists(st.tuples(st.floats(0.0, 1.0), st.booleans()), min_size=1, max_size=40), st.integers(1, 20))
-@settings(max_examples=80, deadline=None)
-def test_the_calibration_error_is_as_defined(units: list[tuple[float, bool]], n_bins: int) -> None:
-    bins: dict[int, list[tuple[float, bool]]] = {}
-    for p, happened in units:
-        bins.setdefault(min(int(p * n_bins), n_bins - 1), []).append((p, happened))
-    expected = sum(abs(np.mean([p for p, _ in own]) - np.mean([y for _, y in own])) * len(own) for own in bins.values()) / len(units)
+@given(st.lists(st.tuples(st.floats(0.0, 1.0), st.booleans()), min_size=1, max_size=40))
+@settings(max_examples=60, deadline=None)
+def test_the_calibration_error_is_as_defined(units: list[tuple[float, bool]]) -> None:
     p, happened = np.array([p for p, _ in units]), np.array([y for _, y in units])
-    assert expected_calibration_error(p, happened, n_bins) == pytest.approx(expected)
+    fit = Fit.of(Judged(p[None], happened, ["s"] * len(p)), 1, "x")
+    assert fit.ece.value == pytest.approx(expected_calibration_error(p, happened, N_BINS))
+    assert fit.brier.value == pytest.approx(np.mean((p - happened) ** 2))
+    assert set(fit.metrics("x")) <= {"x.ece", "x.brier", "x.auroc", "x.auroc_low", "x.auroc_high"}, "one scene tells no interval of a mean"
 
 
 def test_brier_is_the_mean_squared_error_and_that_of_the_rate_its_reference() -> None:
     happened = np.array([True, True, True, False] * 10)
     scenes = [f"s{k // 2}" for k in range(40)]
-    exact, rate = calibration_of(happened.astype(float), happened, scenes, 1), calibration_of(np.full(40, 0.75), happened, scenes, 1)
-    assert exact is not None
-    assert rate is not None
-    assert (exact.brier, exact.ece) == (0.0, 0.0)
-    assert rate.brier == pytest.approx(rate.brier_of_rate)
-    assert rate.ece == pytest.approx(0.0)
-    assert calibration_of(np.empty(0), np.empty(0, dtype=bool), [], 1) is None
+    exact, rate = (Judged(p[None], happened, scenes) for p in (happened.astype(float), np.full(40, 0.75)))
+    sure, unsure = (Fit.of(own, 1, "x") for own in (exact, rate))
+    assert (sure.brier.value, sure.ece.value) == (0.0, 0.0)
+    assert sure.auroc is not None
+    assert (sure.auroc.value, sure.auroc.high) == (1.0, 1.0)
+    assert unsure.brier.value == pytest.approx(rate.brier_of_rate)
+    assert unsure.brier.low < unsure.brier.value < unsure.brier.high
+    assert unsure.ece.value == pytest.approx(0.0)

@@ -4,11 +4,11 @@ import math
 from itertools import pairwise
 
 import numpy as np
+import polars as pl
 import pyarrow as pa
 import pytest
 
-from reports.resampling import SceneBootstrap
-from reports.solvability import balanced_accuracy_draws, solvability_report
+from reports.solvability import solvability_of, solvability_report
 from tables import schemas
 from tables.store import table_from_columns
 from tests.reports.conftest import scores_of
@@ -55,7 +55,7 @@ def test_the_numbers_are_those_of_a_count_by_hand(release_tables: dict[str, pa.T
 
 
 def test_a_ranker_that_knows_nothing_and_one_that_knows_all(release_tables: dict[str, pa.Table]) -> None:
-    """The same score for every candidate is worth half; scores that are the labels tell all groups apart, in every draw."""
+    """The same score for every candidate is worth half; scores that are the labels tell all groups apart."""
     rows = release_tables["candidates"].to_pylist()
     log_p = {"full": [-1.0] * len(rows), "local": [-0.1 if row["y_pipe"] else -3.0 for row in rows]}
     table = table_from_columns(
@@ -69,22 +69,22 @@ def test_a_ranker_that_knows_nothing_and_one_that_knows_all(release_tables: dict
         },
     )
     metrics = solvability_report(release_tables, table, tier="pilot", seed=42).metrics
-    for name in ("auroc", "auroc_low", "auroc_high", "balanced_accuracy"):
-        assert metrics[f"test.fixed.ranker.solvability.{name}"] == 0.5
-        assert metrics[f"test.fixed.local.solvability.{name}"] == 1.0
+    for name in ("auroc", "balanced_accuracy"):
+        nothing, everything = f"test.fixed.ranker.solvability.{name}", f"test.fixed.local.solvability.{name}"
+        assert metrics[nothing] == 0.5
+        assert metrics[f"{nothing}_low"] < 0.5 < metrics[f"{nothing}_high"]
+        assert metrics[everything] == metrics[f"{everything}_high"] == 1.0
+        assert metrics[f"{everything}_low"] < 1.0, "so few groups do not make it certain"
 
 
-def test_balanced_accuracy_of_a_draw_is_that_of_the_units_it_holds() -> None:
-    """Against counting the units of each draw one by one."""
-    rng = np.random.default_rng(0)
-    scenes, labels = [f"s{k % 12}" for k in range(60)], rng.random(60) < 0.4
-    is_called = rng.random((1, 60)) < 0.5
-    bootstrap = SceneBootstrap(scenes, 1)
-    made = balanced_accuracy_draws(is_called, labels, bootstrap, "x")
-    counts = bootstrap.unit_weights
-    expected = [
-        (np.repeat(is_called[0], n)[np.repeat(labels, n)].mean() + (~np.repeat(is_called[0], n))[~np.repeat(labels, n)].mean()) / 2
-        for n in counts[:200].astype(int)
-    ]
-    assert made.draws[:200] == pytest.approx(expected)
-    assert made.value == pytest.approx((is_called[0][labels].mean() + (~is_called[0])[~labels].mean()) / 2)
+def test_balanced_accuracy_is_as_unsure_as_the_kind_of_which_there_are_few() -> None:
+    """Five unsolvable groups, all recognised: their recall may be anything from 57 %, so the mean of both recalls is no surer than half."""
+    labels = np.arange(100) >= 5
+    groups = pl.DataFrame({"scene_id": [f"s{k:03d}" for k in range(100)], "best": labels.astype(float), "success": labels})
+    own = solvability_of([groups], [groups], 1, "x")
+    assert own.balanced_accuracy is not None
+    assert own.recall_unsolvable is not None
+    assert own.balanced_accuracy.value == 1.0
+    assert 1.0 - own.balanced_accuracy.low > 0.49 * (1.0 - own.recall_unsolvable.low) > 0.2
+    assert own.area is not None
+    assert own.area.low < 0.95
