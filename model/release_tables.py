@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from tables.store import file_sha256, sidecar_path
 FURTHEST_M = 1000.0  # no arm reaches it, and float32, which the network computes in, still tells 0.1 mm apart there
 
 _MANIFEST = "manifest.json"
+_SHA256 = re.compile("[0-9a-f]{64}")
 
 
 def read_table_columns(release_dir: Path, table: str, columns: Sequence[str]) -> pa.Table:
@@ -90,6 +92,21 @@ def manifest_sha256(release_dir: Path) -> str | None:
     """SHA-256 of the manifest of a release; None for a folder without one."""
     path = release_dir / _MANIFEST
     return _file_sha256(path) if path.exists() else None
+
+
+def release_hash(release_dir: Path) -> str | None:
+    """What identifies a release by the values of its tables, as its manifest says; None for a folder without one.
+
+    Raises:
+        InputError: the manifest cannot be read or does not say it.
+    """
+    path = release_dir / _MANIFEST
+    if not path.exists():
+        return None
+    found = str(_json_object(path).get("release_hash"))
+    if not _SHA256.fullmatch(found):
+        raise InputError(f"{path}: release_hash is {found[:64]!r}, must be a SHA-256 in hexadecimal")
+    return found
 
 
 def _table_files(release_dir: Path, table: str) -> list[Path]:

@@ -15,11 +15,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from model.predictions import RELEASE_KEY, SPLIT_KEY
 from model.settings import SCHEME_OF_PREDICTIONS
 from reports.calibration import calibration_of, expected_calibration_error
 from reports.evaluate import evaluation_report, main
 from reports.report import Report, ReportError
-from reports.submission import RELEASE_KEY, SPLIT_KEY, read_submission
+from reports.submission import read_submission
 from splits.manifest import read_manifest
 from splits.release import make_light, write_release
 from splits.release_reader import Release
