@@ -83,9 +83,10 @@ def published_sha256(release_dir: Path, tables: Iterable[str]) -> dict[str, str]
     return found
 
 
-def is_published(release_dir: Path, table: str) -> bool:
-    """Whether a release holds a table: light ones lack those that can be made again."""
-    return (release_dir / f"{table}.parquet").exists() or any(release_dir.glob(f"{table}/split=*/*.parquet"))
+def is_left_out(release_dir: Path, table: str) -> bool:
+    """Whether a release, which has a manifest, lacks a table: light ones lack what can be made again."""
+    is_there = (release_dir / f"{table}.parquet").exists() or any(release_dir.glob(f"{table}/split=*/*.parquet"))
+    return (release_dir / _MANIFEST).is_file() and not is_there
 
 
 def manifest_sha256(release_dir: Path) -> str | None:
@@ -119,7 +120,7 @@ def _table_files(release_dir: Path, table: str) -> list[Path]:
         if not release_dir.is_dir():
             raise InputError(f"{release_dir}: {'not a folder' if release_dir.exists() else 'missing'}, must be the folder of a release")
         target = HEAVY_TABLES.get(table)
-        if target is not None and not path.exists() and (release_dir / _MANIFEST).is_file():
+        if target is not None and is_left_out(release_dir, table):
             again = f"`python -m splits.rebuild {release_dir} {target}` makes it again"
             raise InputError(f"{path}: missing, as from a light release; {again}")
         if not path.is_file():
