@@ -12,7 +12,7 @@ from model.errors import InputError
 from model.geometry import place_pose
 from model.inputs import InputReader, read_inputs, scenes_of_split
 from model.labels import read_labels
-from model.release_tables import is_published, published_sha256
+from model.release_tables import is_left_out, published_sha256
 from model.settings import scheme_named
 from tables.vocabulary import Split, SplitScheme
 
@@ -25,7 +25,7 @@ class PlacementDataset(Dataset[Item]):
     An item maps names to tensors; all frames are those of the tables, metres, z up:
 
     - `points_m` [n, 3] and `point_types` [n]: the cloud of the initial scene, base frame; types count as in `inputs.TYPE_NAMES`
-      (0 environment, 1 object, 3 obstacle). A light release has no points, and items of it neither (`has_points`);
+      (0 environment, 1 object, 3 obstacle). A light release has none, and `has_points=False` asks for none;
     - `T_base_object`, `T_base_grasp`, `T_base_target`, `T_grasp_object` [4, 4]: the initial object, the TCP at the grasp, the object at the
       target, the initial object in the TCP frame; and `T_base_place`, the TCP when the object is at the target, which follows from them;
     - `y_plan`, `y_pipe`, `success`: the labels, never an input. `y_pipe` means nothing where `y_plan` is false;
@@ -37,17 +37,23 @@ class PlacementDataset(Dataset[Item]):
         release_dir: folder of a release, whole or light.
         split: `train`, `validation` or `test`; all scenes without it.
         scheme: by what scenes are dealt to the splits.
+        has_points: whether items have points; without them a light release is enough.
 
     Raises:
         InputError: a table is missing, changed after it was published or holds an impossible value, no such split, or no candidates.
     """
 
-    def __init__(self, release_dir: Path | str, split: str | None = None, scheme: str = SplitScheme.SCENE.value) -> None:
+    def __init__(
+        self, release_dir: Path | str, split: str | None = None, scheme: str = SplitScheme.SCENE.value, *, has_points: bool = True
+    ) -> None:
         release_dir = Path(release_dir)
         reader = InputReader(release_dir, scheme_named(scheme))
         if split is not None and split not in set(Split):
             raise InputError(f"split {split!r}, must be one of {[s.value for s in Split]}")
-        self.has_points = is_published(release_dir, "scene_points")
+        if has_points and is_left_out(release_dir, "scene_points"):
+            again = f"`make points RELEASE={release_dir}` makes it again, has_points=False does without"
+            raise InputError(f"{release_dir / 'scene_points.parquet'}: missing, as from a light release; {again}")
+        self.has_points = has_points
         inputs = read_inputs(reader, None if split is None else scenes_of_split(reader, split), self.has_points)
         if not inputs.candidate_ids:
             raise InputError(f"{release_dir}: the {split or 'whole'} split has 0 candidates, must have at least 1")

@@ -1,15 +1,22 @@
-"""Rows of table `predictions`: what a ranker says of candidates, in as many bits as tell them apart."""
+"""Table `predictions`: what a ranker says of candidates, in as many bits as tell them apart, and of which release and split."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Float32
 
+from model.settings import SCHEME_OF_PREDICTIONS
 from tables.schemas import PREDICTIONS
-from tables.store import table_from_columns
+from tables.store import table_from_columns, write_table
+from tables.vocabulary import SplitScheme
+
+# Under these names the metadata of the file say what it is about: candidates are called alike in every version of a release, and a file
+# is easily copied without its sidecar.
+RELEASE_KEY, SPLIT_KEY = "placebench.release", "placebench.split"
 
 # Of the 23 bits of a mantissa. The others are noise of training, which no file can compress: a table takes 29 % less without them, and of
 # 56,754 groups ordered by rankers of `full` none has another first choice (with 13 bits eleven have).
@@ -43,3 +50,16 @@ def prediction_table(
             "log_p_exec": rounded(log_p_exec),
         },
     )
+
+
+def write_predictions(table: pa.Table, path: Path, scheme: SplitScheme, release_hash: str | None) -> None:
+    """Publish predictions that say, in their sidecar and in the file itself, what they are about.
+
+    Args:
+        scheme: what their ranker was trained under.
+        release_hash: of the release that was scored; None where it has none, and then nothing is said of it.
+    """
+    made_from, stated = {SCHEME_OF_PREDICTIONS: scheme.value}, {SPLIT_KEY: scheme.value}
+    if release_hash is not None:
+        made_from["release"] = stated[RELEASE_KEY] = release_hash
+    write_table(PREDICTIONS, table, path, made_from, stated=stated)

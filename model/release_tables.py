@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from tables.store import file_sha256, sidecar_path
 FURTHEST_M = 1000.0  # no arm reaches it, and float32, which the network computes in, still tells 0.1 mm apart there
 
 _MANIFEST = "manifest.json"
+_SHA256 = re.compile("[0-9a-f]{64}")
 
 
 def read_table_columns(release_dir: Path, table: str, columns: Sequence[str]) -> pa.Table:
@@ -81,15 +83,31 @@ def published_sha256(release_dir: Path, tables: Iterable[str]) -> dict[str, str]
     return found
 
 
-def is_published(release_dir: Path, table: str) -> bool:
-    """Whether a release holds a table: light ones lack those that can be made again."""
-    return (release_dir / f"{table}.parquet").exists() or any(release_dir.glob(f"{table}/split=*/*.parquet"))
+def is_left_out(release_dir: Path, table: str) -> bool:
+    """Whether a release, which has a manifest, lacks a table: light ones lack what can be made again."""
+    is_there = (release_dir / f"{table}.parquet").exists() or any(release_dir.glob(f"{table}/split=*/*.parquet"))
+    return (release_dir / _MANIFEST).is_file() and not is_there
 
 
 def manifest_sha256(release_dir: Path) -> str | None:
     """SHA-256 of the manifest of a release; None for a folder without one."""
     path = release_dir / _MANIFEST
     return _file_sha256(path) if path.exists() else None
+
+
+def release_hash(release_dir: Path) -> str | None:
+    """What identifies a release by the values of its tables, as its manifest says; None for a folder without one.
+
+    Raises:
+        InputError: the manifest cannot be read or does not say it.
+    """
+    path = release_dir / _MANIFEST
+    if not path.exists():
+        return None
+    found = str(_json_object(path).get("release_hash"))
+    if not _SHA256.fullmatch(found):
+        raise InputError(f"{path}: release_hash is {found[:64]!r}, must be a SHA-256 in hexadecimal")
+    return found
 
 
 def _table_files(release_dir: Path, table: str) -> list[Path]:
@@ -102,7 +120,7 @@ def _table_files(release_dir: Path, table: str) -> list[Path]:
         if not release_dir.is_dir():
             raise InputError(f"{release_dir}: {'not a folder' if release_dir.exists() else 'missing'}, must be the folder of a release")
         target = HEAVY_TABLES.get(table)
-        if target is not None and not path.exists() and (release_dir / _MANIFEST).is_file():
+        if target is not None and is_left_out(release_dir, table):
             again = f"`python -m splits.rebuild {release_dir} {target}` makes it again"
             raise InputError(f"{path}: missing, as from a light release; {again}")
         if not path.is_file():

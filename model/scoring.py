@@ -24,12 +24,10 @@ from model.grouping import Grouping
 from model.inputs import InputReader, ReleaseInputs, read_inputs, scenes_of_split
 from model.networks import Network, encode
 from model.outputs import check_writable, writing
-from model.predictions import prediction_table
+from model.predictions import prediction_table, write_predictions
 from model.ranker import Prediction
-from model.release_tables import published_sha256
-from model.settings import SCHEME_OF_PREDICTIONS
-from tables.schemas import PREDICTIONS
-from tables.store import sidecar_path, write_table
+from model.release_tables import published_sha256, release_hash
+from tables.store import sidecar_path
 
 _GROUPS_AT_ONCE = 32  # bounds memory; a cloud's feature does not depend on which clouds share its batch
 
@@ -149,10 +147,11 @@ def main(arguments: list[str] | None = None) -> int:
             check_writable(path)
         predictions = score(options.release, options.checkpoint, options.device)
         _, identity, _ = load_checkpoint(options.checkpoint)
+        of_release = release_hash(options.release)
         if options.time:
             times = decision_times(options.release, options.checkpoint, n_scenes=options.time, device=options.device)
         with writing(options.out):
-            write_table(PREDICTIONS, predictions, options.out, {SCHEME_OF_PREDICTIONS: identity.split_scheme.value})
+            write_predictions(predictions, options.out, identity.split_scheme, of_release)
     except RankerError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -66,7 +66,7 @@ def evaluation_report(
     Args:
         tables: `candidates`, `splits`, `scenes`, `targets`, `policy_features` of a release.
         submission: predictions that were checked against it.
-        committed: table `predictions` of rankers to stand beside it, trained under the same scheme; None for none.
+        committed: rows of `predictions` of networks and trees to stand beside it, trained under the same scheme; None for none.
         release: tier and hash, printed in the title.
         seed: of the hash order and the resampling.
         scheme: by what scenes are dealt to the splits.
@@ -232,9 +232,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         candidates = release.candidates.select("candidate_id", pl.col(scheme.column).alias("split"))
         submission = read_submission(options.predictions, candidates, manifest.release_hash, scheme)
         sources = Sources(release, options.beside or folder_beside(options.release, manifest.tier, scheme), scheme=scheme)
-        committed = sources.table("predictions") if sources.there(["predictions"]) else None
         title = f"{manifest.tier} {manifest.version} ({manifest.release_hash[:12]})"
-        report = evaluation_report(tables, submission, committed, release=title, seed=sources.seed, scheme=scheme)
+        report = evaluation_report(tables, submission, sources.scores(), release=title, seed=sources.seed, scheme=scheme)
         if options.out is not None:
             report.write(options.out)
     except PlaceBenchError as error:

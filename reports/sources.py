@@ -18,7 +18,7 @@ from splits.release_folder import left_out_error
 from splits.release_reader import Release
 from tables.columns import TableSchema
 from tables.schemas import ATTEMPTS, AUDITS, LEARNING_CURVE, PLANNER_COSTS, PREDICTIONS, TEST_REPLICATES, TIMINGS
-from tables.store import read_sidecar, read_table
+from tables.store import join_tables, read_sidecar, read_table
 from tables.vocabulary import SplitScheme
 
 
@@ -105,6 +105,15 @@ class Sources:
     def origin(self, name: str, what: str) -> str:
         """What the sidecar of a table about the release says of its making, such as the machine; "" where it says nothing."""
         return read_sidecar(self.path(name)).made_from.get(what, "")
+
+    def scores(self, scheme: SplitScheme = SplitScheme.SCENE) -> pa.Table | None:
+        """What networks and trees say, as far as they are there; None where neither are, raises as `table`.
+
+        Args:
+            scheme: what they were trained under; with the paper's, the tables of the folder itself, which are of `self.scheme`.
+        """
+        there = self.tables(self.there(scores_of(scheme)))
+        return join_tables(PREDICTIONS, list(there.values())) if there else None
 
     def tables(self, names: Iterable[str]) -> dict[str, pa.Table]:
         """Some tables by name; raises as `table` does."""

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Bool, Float
 
+from model.predictions import RELEASE_KEY, SPLIT_KEY
 from model.settings import SCHEME_OF_PREDICTIONS
 from reports.report import ReportError
 from tables.store import read_sidecar, sidecar_path
@@ -24,8 +25,6 @@ ID = "candidate_id"
 SCORE: tuple[str, ...] = ("score",)
 LOG_P: tuple[str, ...] = ("log_p_plan", "log_p_exec")
 P: tuple[str, ...] = ("p_plan", "p_exec")
-# Keys of the file's own metadata that may say what it is about; a sidecar of ours says it too.
-RELEASE_KEY, SPLIT_KEY = "placebench.release", "placebench.split"
 _SHORTEST_HASH = 8
 
 

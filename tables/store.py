@@ -118,19 +118,28 @@ def content_hash(table: pa.Table) -> str:
     return digest.hexdigest()
 
 
-def write_table(schema: TableSchema, table: pa.Table, path: Path, made_from: Mapping[str, str] | None = None, *, of: str = "") -> Sidecar:
+def write_table(
+    schema: TableSchema,
+    table: pa.Table,
+    path: Path,
+    made_from: Mapping[str, str] | None = None,
+    *,
+    of: str = "",
+    stated: Mapping[str, str] | None = None,
+) -> Sidecar:
     """Check a table, publish it atomically at `path`, then publish its sidecar; what lay there before is replaced.
 
     Args:
         made_from: hashes that identify the inputs (recipe, code version, upstream tables).
         of: whose table it is, for example a shard or a tier; "" where there is only one.
+        stated: metadata of the file itself, which a copy without sidecar keeps; a part of its bytes, not of its content.
 
     Raises:
         SchemaError: a table that is not what its schema says; what lay at `path` before stays.
     """
     check_table(schema, table)
     remove(sidecar_path(path))
-    _publish(table, path)
+    _publish(table.replace_schema_metadata(stated) if stated else table, path)
     sidecar = Sidecar(schema.name, table.num_rows, file_sha256(path), content_hash(table), SCHEMA_VERSION, of, dict(made_from or {}))
     write_sidecar(path, sidecar)
     return sidecar

@@ -67,8 +67,12 @@ def test_a_batch_of_a_group_is_the_group(small_release: Path, task: str, key: li
 
 def test_a_light_release_has_everything_but_points(whole: Path, tmp_path: Path) -> None:
     make_light(whole, tmp_path / "light")
-    of_whole, of_light = PlacementDataset(whole, "train"), PlacementDataset(tmp_path / "light", "train")
+    light = tmp_path / "light"
+    of_whole, of_light = PlacementDataset(whole, "train"), PlacementDataset(light, "train", has_points=False)
     assert (of_whole.has_points, of_light.has_points) == (True, False)
+    with pytest.raises(InputError, match=rf"scene_points\.parquet: missing, .* `make points RELEASE={light}` makes it again") as refused:
+        PlacementDataset(light, "train")
+    assert "\n" not in str(refused.value)
     assert of_whole.candidate_ids == of_light.candidate_ids
     for ours, theirs in zip(of_light, of_whole, strict=True):
         assert set(theirs) - set(ours) == {"points_m", "point_types"}

@@ -15,12 +15,19 @@ from hypothesis.extra.numpy import arrays
 
 from model.batches import encode_release
 from model.checkpoint import load_checkpoint
-from model.errors import CheckpointError
+from model.errors import CheckpointError, InputError
 from model.inputs import InputReader, read_inputs, restricted
-from model.predictions import rounded
+from model.predictions import RELEASE_KEY, SPLIT_KEY, rounded
+from model.release_tables import release_hash
 from model.scoring import decision_times, main, predict, score, success_at_1
-from tables.schemas import PREDICTIONS
-from tables.store import check_table, content_hash, read_table
+from reports.evaluate import main as evaluate
+from splits.manifest import read_manifest
+from splits.release import write_release
+from tables.schemas import OBJECTS, PREDICTIONS
+from tables.store import check_table, content_hash, read_sidecar, read_table, table_from_rows
+from tests.model.damage import edit_json
+from tests.model.synthetic_release import RELEASE_SCHEMAS, TOLERANCES
+from tests.splits.damage import PROVENANCE
 
 
 def test_every_candidate_of_every_split_is_scored_once(small_release: Path, checkpoint: Path) -> None:
@@ -117,3 +124,40 @@ def test_command_line_writes_predictions_or_says_why_not(
     assert content_hash(read_table(PREDICTIONS, out, verify=True)) == content_hash(score(small_release, checkpoint))
     assert main(["--release", str(small_release), "--checkpoint", str(tmp_path), "--out", str(out)]) == 1
     assert "ranker.json: missing" in capsys.readouterr().err
+
+
+def test_predictions_say_of_which_release_they_are_copied_or_not(
+    small_release: Path, checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tables = {schema.name: read_table(schema, small_release / f"{schema.name}.parquet") for schema in RELEASE_SCHEMAS}
+    heavier = table_from_rows(OBJECTS, [row | {"mass_kg": 0.4} for row in tables["objects"].to_pylist()])
+    release, other = tmp_path / "data" / "release" / "full", tmp_path / "other"
+    for folder, own in ((release, tables), (other, tables | {"objects": heavier})):
+        write_release(own, folder, "full", "0.1.0", PROVENANCE, TOLERANCES)
+    of = {folder: read_manifest(folder).release_hash for folder in (release, other)}
+    written, copied = tmp_path / "predictions.parquet", tmp_path / "copied.parquet"
+    assert main(["--release", str(release), "--checkpoint", str(checkpoint), "--out", str(written)]) == 0
+    assert read_sidecar(written).made_from == {"split_scheme": "scene", "release": of[release]}
+    shutil.copyfile(written, copied)
+    assert pq.read_schema(copied).metadata == {RELEASE_KEY.encode(): of[release].encode(), SPLIT_KEY.encode(): b"scene"}
+    for path in (written, copied):
+        capsys.readouterr()
+        assert evaluate([str(path), "--release", str(release)]) == 0
+        assert evaluate([str(path), "--release", str(other)]) == 1
+        assert capsys.readouterr().err == f"error: {path}: about release {of[release][:12]}, must be about {of[other][:12]}\n"
+
+
+def test_predictions_of_loose_tables_say_nothing_of_a_release(small_release: Path, checkpoint: Path, tmp_path: Path) -> None:
+    out = tmp_path / "predictions.parquet"
+    assert main(["--release", str(small_release), "--checkpoint", str(checkpoint), "--out", str(out)]) == 0
+    assert read_sidecar(out).made_from == {"split_scheme": "scene"}
+    assert pq.read_schema(out).metadata == {SPLIT_KEY.encode(): b"scene"}
+
+
+@pytest.mark.parametrize("stated", [None, 7, "", "0" * 63, "Z" * 64])
+def test_a_manifest_without_the_hash_of_its_release_is_named(release: Path, stated: object) -> None:
+    assert release_hash(release) is None
+    (release / "manifest.json").write_text("{}")
+    edit_json(release / "manifest.json", lambda manifest: manifest.update(release_hash=stated))
+    with pytest.raises(InputError, match=r"manifest\.json: release_hash is '.*', must be a SHA-256 in hexadecimal"):
+        release_hash(release)

@@ -9,21 +9,23 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from model.predictions import RELEASE_KEY, SPLIT_KEY
 from model.settings import SCHEME_OF_PREDICTIONS
 from reports.calibration import N_BINS, Fit, Judged
 from reports.evaluate import evaluation_report, main
 from reports.report import Report, ReportError
-from reports.submission import RELEASE_KEY, SPLIT_KEY, read_submission
+from reports.submission import read_submission
 from splits.manifest import read_manifest
 from splits.release import make_light, write_release
 from splits.release_reader import Release
 from tables.schemas import PREDICTIONS
-from tables.store import read_sidecar, write_table
+from tables.store import read_sidecar, table_from_columns, write_table
 from tables.vocabulary import SplitScheme
 from tests.model.synthetic_release import TOLERANCES
 from tests.reports.reference import expected_calibration_error
@@ -165,6 +167,27 @@ def test_the_command_writes_what_it_prints_beside_the_committed_predictions(
     assert metrics["test.fixed.submission.s1"] - metrics["test.fixed.random.s1_expected"] == pytest.approx(
         metrics["test.fixed.submission_minus_random_mean.s1"]
     )
+
+
+@pytest.mark.parametrize("scheme", [SplitScheme.SCENE, SplitScheme.OBJECT])
+@pytest.mark.parametrize("there", [("predictions", "tree_predictions"), ("tree_predictions",)])
+def test_networks_and_trees_are_both_compared_with_where_they_lie_beside(
+    there: tuple[str, ...], scheme: SplitScheme, folder: Path, noisy: pl.DataFrame, predictions: pa.Table, tmp_path: Path
+) -> None:
+    """Both files hold the same scores here, under the name of the paper's network and of the trees."""
+    of_network = predictions.filter(pc.equal(predictions["variant"].cast(pa.string()), "full"))
+    as_trees = {name: of_network[name] for name in PREDICTIONS.names} | {"variant": ["trees"] * of_network.num_rows}
+    tables = {"predictions": of_network, "tree_predictions": table_from_columns(PREDICTIONS, as_trees)}
+    made_from = {"release": read_manifest(folder).release_hash, SCHEME_OF_PREDICTIONS: scheme.value}
+    for name in there:
+        write_table(PREDICTIONS, tables[name], tmp_path / "beside" / f"{name}.parquet", made_from, of="full")
+    noisy.write_parquet(tmp_path / "mine.parquet")
+    arguments = [str(tmp_path / "mine.parquet"), "--release", str(folder), "--split", scheme.value]
+    assert main([*arguments, "--beside", str(tmp_path / "beside"), "--out", str(tmp_path)]) == 0
+    metrics = json.loads((tmp_path / "evaluation.json").read_text())
+    of_trees = "test.joint.submission_minus_trees.s1"
+    assert metrics[of_trees] == pytest.approx(metrics["test.joint.submission.s1"] - metrics["test.joint.trees.s1"])
+    assert metrics.get("test.joint.submission_minus_ranker.s1") == (metrics[of_trees] if "predictions" in there else None)
 
 
 Frame = pl.DataFrame

@@ -130,6 +130,19 @@ def test_equal_tables_are_equal_files(tmp_path: Path) -> None:
     assert write_table(SPLITS, table, tmp_path / "a.parquet").sha256 == write_table(SPLITS, table, tmp_path / "b.parquet").sha256
 
 
+def test_what_a_file_states_of_itself_is_no_part_of_its_content(tmp_path: Path) -> None:
+    table = table_from_rows(SPLITS, [split_row("full-0000", "train")])
+    silent, stating = tmp_path / "silent.parquet", tmp_path / "stating.parquet"
+    without, stated = write_table(SPLITS, table, silent), write_table(SPLITS, table, stating, stated={"about": "mini"})
+    assert pq.read_schema(silent).metadata is None
+    assert pq.read_schema(stating).metadata == {b"about": b"mini"}
+    assert stated.content_hash == without.content_hash
+    for path in (silent, stating):
+        read = read_table(SPLITS, path, verify=True)
+        assert read.equals(table)
+        assert read.schema.metadata is None
+
+
 def test_joining_parts_equals_the_whole(tmp_path: Path) -> None:
     rows = [split_row(f"full-{k:04d}", ["train", "test"][k % 2]) for k in range(10)]
     for part in range(2):
