@@ -14,7 +14,6 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -25,15 +24,14 @@ from assets_def.partitions import RankerKey, rankers_of_tier
 from assets_def.ranker_assets import SCORING_CODE_VERSION
 from assets_def.ranker_training import SHIPPED, RankersError, exit_code_of, folder_name, settings_of, train_all
 from assets_def.resources import Benchmark
-from assets_def.trees_assets import TREE_PREDICTIONS, TREES_CODE_VERSION, TREES_SEED
+from assets_def.trees_assets import TRAININGS, TREE_PREDICTIONS, TREES_CODE_VERSION, made_from_trainings
 from model.checkpoint import identity_of, is_checkpoint_of, weights_sha256
 from model.inputs import InputReader, contract_hash, scenes_of_split
 from model.scoring import score
 from model.settings import SCHEME_OF_PREDICTIONS, Variant, scheme_named
-from model.trees import TreeVariant, read_tree_data
+from model.trees import read_tree_data, split_predictions
 from pipelines.running.lock import locked
 from reports.sources import folder_beside
-from reports.trees_probe import tree_predictions
 from splits.rebuild import rebuild
 from splits.release_reader import Release
 from tables.identity import TIERS, parse_candidate_id
@@ -160,16 +158,14 @@ def _is_of(rows: pa.Table, name: str) -> pa.ChunkedArray:
 
 def _publish_trees(place: Place, log: Callable[[str], Any]) -> None:
     path = place.beside / f"{TREE_PREDICTIONS}.parquet"
-    trained = {"seed": str(TREES_SEED), "engine.scikit-learn": metadata.version("scikit-learn")}
-    # Raw poses are a probe of the paper's split; under another, what generalises is asked of what ranks best.
-    variants = tuple(TreeVariant) if place.scheme is SplitScheme.SCENE else (TreeVariant.GEOMETRY,)
-    made_from = {"code": TREES_CODE_VERSION, "contract": contract_hash(), **_of_release(place), **trained}
-    if len(variants) < len(TreeVariant):
-        made_from["variants"] = " ".join(variants)
+    trainings = TRAININGS if place.scheme is SplitScheme.SCENE else TRAININGS[:1]
+    made_from = {"code": TREES_CODE_VERSION, "contract": contract_hash(), **_of_release(place), **made_from_trainings(trainings)}
     if isinstance(find_published(PREDICTIONS, path, made_from, place.tier), Sidecar):
         log(f"{TREE_PREDICTIONS}: there already")
         return
-    table = tree_predictions(place.release_dir, read_tree_data(place.release_dir), TREES_SEED, None, place.scheme, variants)
+    data = read_tree_data(place.release_dir)
+    parts = [split_predictions(place.release_dir, data, variant, seed, place.scheme) for variant, seed in trainings]
+    table = join_tables(PREDICTIONS, parts)
     reader = InputReader(place.release_dir, place.scheme)
     scored = {scene_id for split in SCORED for scene_id in scenes_of_split(reader, split)}
     is_scored = [parse_candidate_id(name).scene_id in scored for name in table["candidate_id"].to_pylist()]

@@ -48,17 +48,12 @@ _TREES = {TreeVariant.POSES: TREES_POSES, TreeVariant.GEOMETRY: TREES}
 
 
 def tree_predictions(
-    release_dir: Path,
-    data: TreeData,
-    seed: int,
-    n_folds: int | None,
-    scheme: SplitScheme = SplitScheme.SCENE,
-    variants: Sequence[TreeVariant] = tuple(TreeVariant),
+    release_dir: Path, data: TreeData, seed: int, n_folds: int | None, scheme: SplitScheme = SplitScheme.SCENE
 ) -> pa.Table:
-    """Table `predictions` of trees, both kinds by default: trained on the train split of a scheme, or cross-validated over all scenes."""
+    """Table `predictions` of trees of both kinds: trained on the train split of a scheme, or cross-validated over all scenes."""
     if n_folds is None:
-        return join_tables(PREDICTIONS, [split_predictions(release_dir, data, variant, seed, scheme) for variant in variants])
-    return join_tables(PREDICTIONS, [cross_validated_predictions(data, variant, seed, n_folds) for variant in variants])
+        return join_tables(PREDICTIONS, [split_predictions(release_dir, data, variant, seed, scheme) for variant in TreeVariant])
+    return join_tables(PREDICTIONS, [cross_validated_predictions(data, variant, seed, n_folds) for variant in TreeVariant])
 
 
 def trees_probe_report(

@@ -49,7 +49,10 @@ def test_the_tables_and_the_report_are_made_once(benchmark: Benchmark) -> None:
 
     release_dir = benchmark.root.release(TIER)
     expected = tree_predictions(release_dir, read_tree_data(release_dir), TREES_SEED, None)
-    assert read_table(PREDICTIONS, benchmark.root.tier_table(TIER, TREE_PREDICTIONS)).equals(expected)
+    made = read_table(PREDICTIONS, benchmark.root.tier_table(TIER, TREE_PREDICTIONS))
+    assert made.filter(pc.equal(made["seed"], TREES_SEED)).equals(expected)
+    trained = {(row["variant"], row["seed"]) for row in made.select(["variant", "seed"]).to_pylist()}
+    assert trained == {("trees", 42), ("trees", 43), ("trees", 44), ("trees_poses", 42)}, "as many on geometry as networks have seeds"
     metrics = json.loads((benchmark.report_dir(TIER) / "trees_probe.json").read_text())
     assert metrics["trees.auroc_plan"] > 0.8
 
