@@ -13,7 +13,8 @@ from reports.audit import audit_report
 from reports.calibration_report import calibration_report
 from reports.ceiling import ceiling_report
 from reports.costs import Costs
-from reports.error_analysis import Films, errors_report
+from reports.error_analysis import N_WORST, errors_report
+from reports.error_films import Films
 from reports.gallery import gallery_report
 from reports.generalisation import generalisation_report
 from reports.learning_curve import learning_curve_report
@@ -39,6 +40,8 @@ from tables.vocabulary import Split, SplitScheme
 
 # Filmstrips an execution status.
 N_FILMS = {"mini": 1, "pilot": 3, "full": 3}
+# Filmstrips of first choices that fail, a task: of all worst groups of `full`, where one takes 1.2 s of a core.
+N_ERROR_FILMS = {"mini": 1, "pilot": 3, "full": N_WORST}
 
 _RANKED = ("candidates", "splits", "scenes", "targets", "policy_features")
 _TIMES = ("decision_times", "tree_decision_times")
@@ -114,7 +117,7 @@ def _errors(sources: Sources) -> Report:
     tables, predictions, (recipe, why_not) = _judged(sources, Split.TEST), _all_predictions(sources), _recipe_of_films(sources)
     lacks = [text for name in _PICTURED if (text := sources.missing(name))]
     if recipe is not None and not lacks:
-        films = Films(sources.tables((*_PICTURED, "plans")), recipe, N_FILMS[sources.tier])
+        films = Films(sources.tables((*_PICTURED, "plans")), recipe, N_ERROR_FILMS[sources.tier])
     else:
         films = Films(why_not="; ".join([why_not] if why_not else lacks))
     assert predictions is not None
