@@ -16,7 +16,7 @@ from assets_def.products import FilesProduct, Record
 from assets_def.resources import Benchmark
 from assets_def.steps import Step
 from assets_def.trees_assets import TREE_PREDICTIONS, TREE_TIMES
-from reports.kinds import KINDS, N_FILMS
+from reports.kinds import KINDS, N_ERROR_FILMS, N_FILMS
 from reports.report import Report
 from reports.shard_diagnostics import SHARD_TABLES, shard_diagnostics_report
 from reports.sources import Sources
@@ -136,7 +136,7 @@ REPORTS = (
         "The groups that the local ranker gets most wrong, with films, and what becomes of first choices that fail.",
         _made("errors"),
         _SCORES,
-        parameters=N_FILMS,
+        parameters=N_ERROR_FILMS,
     ),
     ReportKind("learning_curve", "S1 by the number of scenes that rankers were trained on.", _made("learning_curve"), ("learning_curve",)),
     ReportKind(

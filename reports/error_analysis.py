@@ -7,22 +7,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import polars as pl
 import pyarrow as pa
 
-from pipelines.decoded import Decoded
 from pipelines.frames import frame_of
-from pipelines.pictures.sheet import Tile, sheet
-from pipelines.recipe import Recipe
 from reports.entries import flat, prediction_frames
+from reports.error_films import Films, error_films
+from reports.error_overlap import overlap_section
 from reports.figures import status_figure
-from reports.gallery import FRAMES_OF_FILM, film
 from reports.load import Task, candidate_frame, of_scheme, scheme_note
-from reports.metrics import Estimate, proportion
+from reports.metrics import Estimate, is_hard, proportion
 from reports.policies import FULL_PLANNER, IK_AND_GRIPPER, LEARNED, LOCAL, Policy, ranked
 from reports.ranking import TASK_TITLE
 from reports.report import Report, ReportError
@@ -35,23 +32,6 @@ DESIGNATED_SEED = 42  # single groups are shown as one training orders them
 _N_COLOURS = 8  # failing statuses that have a colour of their own
 
 OUTCOME = pl.coalesce(pl.col("exec_status").cast(pl.String), pl.col("plan_status").cast(pl.String)).alias("outcome")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Films:
-    """What films of first choices are made of.
-
-    Attributes:
-        tables: objects, `scenes`, `obstacles`, `targets`, `grasps`, `candidates` and `plans`; None for no films.
-        recipe: what the plans were made with.
-        n: films a task.
-        why_not: said where there are none.
-    """
-
-    tables: Mapping[str, pa.Table] | None = None
-    recipe: Recipe | None = None
-    n: int = 0
-    why_not: str = ""
 
 
 def worst_groups(frame: pl.DataFrame, policy: Policy, task: Task, n: int = N_WORST) -> pl.DataFrame:
@@ -121,19 +101,20 @@ def errors_report(
     counted: list[dict[str, object]] = []
     for task in Task:
         worst = worst_groups(learned[policy][own_seed], policy, task)
-        section, png = _worst_section(worst, task, command, shown)
+        section, pictures = _worst_section(worst, task, command, shown)
         blocks += [f"## {TASK_TITLE[task]}: the groups that it gets most wrong", *section]
-        figures |= {} if png is None else {f"errors-{task.value}": png}
+        figures |= pictures
         rows += [{"task": task.value, "policy": policy.name, "seed": own_seed} | _plain(group) for group in worst.iter_rows(named=True)]
     orders = {IK_AND_GRIPPER: [frame], FULL_PLANNER: [frame], **{own: list(trained.values()) for own, trained in learned.items()}}
     for task in Task:
         firsts = {own: [_first_choices(each, own, task) for each in frames] for own, frames in orders.items()}
         section, values = _failures(firsts[policy], policy, task)
+        same, n_wrong = overlap_section(firsts, {own: list(trained) for own, trained in learned.items()}, policy, task)
         counts = {own.label: Counter(name for each in trainings for name in each["outcome"]) for own, trainings in firsts.items()}
         figures[f"errors-first_choice-{task.value}"] = _outcome_figure(counts, f"What becomes of the first choice, {tier}, {task.value}")
-        blocks += [f"## {TASK_TITLE[task]}: first choices that fail", *section]
+        blocks += [f"## {TASK_TITLE[task]}: first choices that fail", *section, *same]
         blocks.append(f"![What becomes of the first choice of each policy in covered groups](errors-first_choice-{task.value}.png)")
-        metrics |= values
+        metrics |= values | n_wrong
         for order, trainings in firsts.items():
             failing = _share_of(trainings, pl.col("outcome") != ExecStatus.SUCCESS.value)
             metrics |= flat(f"test.{task.value}.{order.name}.first_choice_fails", failing)
@@ -150,9 +131,9 @@ def _about(policy: Policy, seed: int) -> str:
     )
 
 
-def _worst_section(worst: pl.DataFrame, task: Task, command: Callable[[str], str], films: Films) -> tuple[list[str], bytes | None]:
+def _worst_section(worst: pl.DataFrame, task: Task, command: Callable[[str], str], films: Films) -> tuple[list[str], dict[str, bytes]]:
     if worst.is_empty():
-        return ["There is none: no group is covered, or the first choice succeeds in every one."], None
+        return ["There is none: no group is covered, or the first choice succeeds in every one."], {}
     rows = [
         [_name(group), group["object_id"], group["n_obstacles"], group["n_candidates"], group["n_success"], group["rank"],
          f"{group['regret']:.2f}", _tried(group["tried"]), f"`{group['first_id']}`", f"`{group['success_id']}`"]
@@ -171,22 +152,24 @@ def _worst_section(worst: pl.DataFrame, task: Task, command: Callable[[str], str
         "success",
     ]
     commands = "\n".join(command(name) for name in worst["first_id"])
-    blocks = [table(header, rows, align="llrrrrrlll"), "First choices, to be looked at:", f"```sh\n{commands}\n```"]
-    picture, why_not = _films(worst, films)
-    if picture is None:
-        return [*blocks, f"No films: {why_not}."], None
-    return [*blocks, f"![First choices with a plan, of the worst groups](errors-{task.value}.png)"], picture
+    shown = [table(header, rows, align="llrrrrrlll"), _told(worst), "First choices, to be looked at:", f"```sh\n{commands}\n```"]
+    pictures, why_not = error_films(worst["first_id"].to_list(), films)
+    if not pictures:
+        return [*shown, f"No films: {why_not}."], {}
+    by_stem = {f"errors-{task.value}{f'-{k}' if k > 1 else ''}": picture for k, picture in enumerate(pictures, 1)}
+    text = (
+        f"First choices of the first {min(films.n, worst.height)}, a row each: target green, obstacles brown; where there was no plan, the"
+        " state after the lift and beside it the hand, orange, at the place that it could not be brought to."
+    )
+    return [*shown, text, *(f"![First choices of the worst groups]({stem}.png)" for stem in by_stem)], by_stem
 
 
-def _films(worst: pl.DataFrame, films: Films) -> tuple[bytes | None, str]:
-    """Films of the first choices that have a plan, worst group first."""
-    if films.tables is None or films.recipe is None:
-        return None, films.why_not or "nothing to make them of"
-    planned = set(frame_of(films.tables["plans"], ["candidate_id"])["candidate_id"])
-    chosen = [name for name in worst["first_id"] if name in planned][: films.n]
-    release = Decoded(films.tables)
-    tiles: list[Tile] = [tile for name in chosen for tile in film(release, name, films.recipe)]
-    return (sheet(tiles, FRAMES_OF_FILM), "") if tiles else (None, "no first choice of these groups has a plan")
+def _told(worst: pl.DataFrame) -> str:
+    """What the worst groups have in common: how few successes, and of which objects."""
+    n_hard = worst.select(is_hard().sum()).item()
+    objects = Counter(worst["object_id"].sort()).most_common()
+    shown = ", ".join(f"{name} {n}" for name, n in objects)
+    return f"{n_hard} of these {worst.height} hold one or two successes; by object: {shown}."
 
 
 def _name(group: Mapping[str, Any]) -> str:

@@ -17,21 +17,20 @@ from pipelines.codecs import Row, pose_in
 from pipelines.decoded import Decoded
 from pipelines.engines.robot.geometry import moved
 from pipelines.frames import frame_of
-from pipelines.labels.planning import motion_of
 from pipelines.pictures.filmstrip import execution_frames
-from pipelines.pictures.recording import record_execution
 from pipelines.pictures.renderer import Renderer, View
 from pipelines.pictures.sheet import Tile, sheet
 from pipelines.pictures.views import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, render_scene, shrunk
 from pipelines.recipe import Recipe
 from pipelines.values import Scene
-from reports.report import Report, ReportError
+from reports.recordings import recording_of
+from reports.report import Report
 from tables.identity import order_key
 from tables.vocabulary import ExecStatus
 
 _TILE_PX = (400, 300)
 _OBJECT_PX = (300, 225)
-_FRAME_PX = (240, 180)
+FRAME_PX = (240, 180)
 _TITLE_PX = (960, 480)
 _GHOST_OPACITY = 0.5
 FRAMES_OF_FILM = 6
@@ -183,7 +182,7 @@ def _gripper_glyph(jaw_m: float, thickness: float = 0.25) -> TriangleMesh:
 
 def _films(tables: Mapping[str, pa.Table], release: Decoded, recipe: Recipe, n_films: int) -> dict[str, list[Tile]]:
     chosen = chosen_executions(frame_of(tables["candidates"], ["candidate_id", "exec_status"]), recipe.seed, n_films)
-    return {status: [tile for name in names for tile in film(release, name, recipe)] for status, names in chosen.items()}
+    return {status: [tile for name in names for tile in _film(release, name, recipe)] for status, names in chosen.items()}
 
 
 def chosen_executions(candidates: pl.DataFrame, seed: int, n_films: int) -> dict[str, list[str]]:
@@ -193,13 +192,8 @@ def chosen_executions(candidates: pl.DataFrame, seed: int, n_films: int) -> dict
     return {status: sorted(names, key=key)[:n_films] for status, names in by_status.items() if names}
 
 
-def film(release: Decoded, candidate_id: str, recipe: Recipe) -> list[Tile]:
-    """`FRAMES_OF_FILM` frames of a stored plan that is executed again; raises ReportError for a candidate without a plan."""
-    candidate, plan = release.candidate(candidate_id), release.plan(candidate_id)
-    if plan is None:
-        raise ReportError(f"{candidate_id}: was executed, but has no row in plans")
-    motion = motion_of(candidate, plan, recipe.planning)
-    recording = record_execution(release.object_model_of(candidate), candidate, motion, recipe.execution_setup)
-    frames = execution_frames(recording, FRAMES_OF_FILM, _FRAME_PX)
+def _film(release: Decoded, candidate_id: str, recipe: Recipe) -> list[Tile]:
+    """`FRAMES_OF_FILM` frames of a stored plan that is executed again; raises ReportError for an executed candidate without a plan."""
+    frames = execution_frames(recording_of(release, candidate_id, recipe), FRAMES_OF_FILM, FRAME_PX)
     tiles = [Tile(frame.picture, f"{frame.phase.value} {frame.time_s:.2f} s") for frame in frames]
     return [Tile(tiles[0].picture, f"{candidate_id} {tiles[0].caption}"), *tiles[1:]]

@@ -6,15 +6,15 @@ Under each split scheme the same rankers are trained on its train split and judg
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import polars as pl
 import pyarrow as pa
 
 from pipelines.frames import frame_of
 from reports.entries import Entry, entry_of, flat, learned_entries
-from reports.load import Task, candidate_frame
-from reports.metrics import MIN_SCENES
+from reports.load import Task, candidate_frame, group_frame
+from reports.metrics import MIN_SCENES, Estimate
 from reports.policies import FULL_PLANNER, IK_AND_GRIPPER, LOCAL, TREES, Policy
 from reports.ranking import TASK_TITLE, timing_frame
 from reports.report import Report, ReportError
@@ -36,23 +36,28 @@ _UNSEEN = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trained:
-    """A split scheme: the candidates of its test split, and what rankers of its train split say of them."""
+    """A split scheme: the candidates of its test split, what rankers of its train split say of them, and how many scenes that has."""
 
     scheme: SplitScheme
     test: pl.DataFrame
     scores: pl.DataFrame
+    n_train_scenes: int
 
     def among(self, scene_ids: set[str]) -> Trained:
         """The same of some scenes of its test split."""
-        return Trained(self.scheme, self.test.filter(pl.col("scene_id").is_in(scene_ids)), self.scores)
+        return replace(self, test=self.test.filter(pl.col("scene_id").is_in(scene_ids)))
+
+    def n_trainings(self, policy: Policy) -> int:
+        """How many rankers of a policy were trained."""
+        return self.scores.filter(pl.col("variant") == policy.variant)["seed"].n_unique()
 
     @property
     def scene_ids(self) -> set[str]:
         return set(self.test["scene_id"])
 
-    def levels(self, task: Task) -> list[Entry]:
+    def levels(self, task: Task) -> dict[Policy, Entry]:
         """Policies that learn nothing: how hard the groups are."""
-        return [entry_of(policy, task, self.test, timing_frame({})) for policy in _LEVELS]
+        return {policy: entry_of(policy, task, self.test, timing_frame({})) for policy in _LEVELS}
 
     def learned(self, task: Task) -> dict[Policy, Entry]:
         return {entry.policy: entry for entry in learned_entries(self.test, self.scores, task, timing_frame({}), _JUDGED)}
@@ -73,29 +78,12 @@ def generalisation_report(tables: Mapping[str, pa.Table], predictions: Mapping[S
     if SplitScheme.SCENE not in predictions:
         raise ReportError("predictions: none of rankers of the paper's split, must be there to compare with")
     trained = {scheme: _trained(tables, scheme, predictions[scheme], seed) for scheme in SplitScheme if scheme in predictions}
-    blocks = [f"# What rankers were not trained on, tier {tier}", _ABOUT]
-    metrics: dict[str, float] = {}
+    blocks = [f"# What rankers were not trained on, tier {tier}", _ABOUT, "## Trainings", *_trainings(trained)]
+    metrics = {f"train.{scheme.value}.n_scenes": float(own.n_train_scenes) for scheme, own in trained.items()}
     for task in Task:
-        rows, drops = [], []
-        for scheme, own in trained.items():
-            entries = [*own.levels(task), *own.learned(task).values()]
-            by_policy = {entry.policy: entry.s(1) for entry in entries}
-            rows.append(
-                [f"`{scheme.value}`", _UNSEEN[scheme], f"{len(own.scene_ids):,}", f"{entries[0].covered.height:,}"]
-                + [by_policy.get(policy) for policy in (*_LEVELS, *_JUDGED)]
-            )
-            for policy in _JUDGED:
-                metrics |= flat(f"test.{task.value}.{policy.name}.{scheme.value}.s1", by_policy.get(policy))
-            if scheme is not SplitScheme.SCENE:
-                shown, values = _drops(trained[SplitScheme.SCENE], own, task, seed)
-                drops += shown
-                metrics |= values
-        blocks += [f"## {TASK_TITLE[task]}", "S1 on the test split of each scheme, by rankers of its train split:"]
-        names = [policy.label for policy in (*_LEVELS, *_JUDGED)]
-        blocks.append(table(["split", "unseen", "scenes", "covered groups", *names], rows, align="llrrrrrr"))
-        blocks.append("On scenes that no ranker was trained on, those of both test splits:")
-        header = ["split", "policy", "scenes", "covered groups", "trained on others like them", "not trained on any", "difference"]
-        blocks.append(table(header, drops, align="llrrrrr"))
+        section, values = _of_task(trained, task, seed)
+        blocks += [f"## {TASK_TITLE[task]}", *section]
+        metrics |= values
     return Report("generalisation", "\n\n".join(blocks) + "\n", metrics=metrics)
 
 
@@ -104,13 +92,66 @@ _ABOUT = (
     " split. Test splits are of other scenes and as hard as they are, which the policies that learn nothing show; so what a ranker loses is"
     " **measured on the scenes that are in test of the paper's split and of the other one**: neither ranker was trained on these scenes,"
     " but that of the paper's split was trained on others with the same object, category and number of obstacles. The difference is paired"
-    f" by group. Intervals are 95 %, resampled by scene and training; none below {MIN_SCENES} scenes."
+    " by group, and is one of training: in what was trained on, and in how much and how often, which table *Trainings* tells. What a"
+    " ranker is worth that was not trained on any is its difference from the full-pool planner, which learns nothing and plans every"
+    f" candidate, on the same groups. Intervals are 95 %, resampled by scene and training; none below {MIN_SCENES} scenes."
 )
+
+
+def _trainings(trained: Mapping[SplitScheme, Trained]) -> list[str]:
+    """How much the rankers of each scheme were trained on, and how often, beside those of the paper's split."""
+    n_known = trained[SplitScheme.SCENE].n_train_scenes
+    rows: list[list[object]] = []
+    for scheme, own in trained.items():
+        more = None if scheme is SplitScheme.SCENE else f"{own.n_train_scenes - n_known:+,}"
+        trainings = [own.n_trainings(policy) or None for policy in _JUDGED]
+        rows.append([f"`{scheme.value}`", _UNSEEN[scheme], f"{own.n_train_scenes:,}", more, *trainings])
+    header = ["split", "unseen", "train scenes", "beside the paper's", *(f"trainings, {policy.label.lower()}" for policy in _JUDGED)]
+    return [
+        "Where there are fewer train scenes a loss holds what they take, too; one training may be a good or a bad one, which its interval"
+        " does not tell:",
+        table(header, rows, align="llrrrr"),
+    ]
 
 
 def _trained(tables: Mapping[str, pa.Table], scheme: SplitScheme, predictions: pa.Table, seed: int) -> Trained:
     frame = candidate_frame(tables, seed, scheme).filter(pl.col("split") == Split.TEST.value)
-    return Trained(scheme, frame, frame_of(predictions).with_columns(pl.col("variant").cast(pl.String)))
+    n_train = group_frame(tables, Task.JOINT, scheme).filter(pl.col("split") == Split.TRAIN.value).height
+    return Trained(scheme, frame, frame_of(predictions).with_columns(pl.col("variant").cast(pl.String)), n_train)
+
+
+def _of_task(trained: Mapping[SplitScheme, Trained], task: Task, seed: int) -> tuple[list[str], dict[str, float]]:
+    levels: list[list[object]] = []
+    drops: list[list[object]] = []
+    gains: list[list[object]] = []
+    metrics: dict[str, float] = {}
+    for scheme, own in trained.items():
+        entries = own.levels(task) | own.learned(task)
+        s1 = {policy: entry.s(1) for policy, entry in entries.items()}
+        cells = [s1.get(policy) for policy in (*_LEVELS, *_JUDGED)]
+        levels.append([f"`{scheme.value}`", _UNSEEN[scheme], f"{len(own.scene_ids):,}", _n_covered(entries), *cells])
+        for policy in (FULL_PLANNER, *_JUDGED):
+            metrics |= flat(f"test.{task.value}.{policy.name}.{scheme.value}.s1", s1.get(policy))
+        if scheme is not SplitScheme.SCENE:
+            for rows, compare in ((drops, _drops), (gains, _gains)):
+                shown, values = compare(trained[SplitScheme.SCENE], own, task, seed)
+                rows += shown
+                metrics |= values
+    of_levels = ["split", "unseen", "scenes", "covered groups", *(policy.label for policy in (*_LEVELS, *_JUDGED))]
+    of_drops = ["split", "policy", "scenes", "covered groups", "trained on others like them", "not trained on any", "difference"]
+    of_gains = ["split", "policy", "not trained on any", "full-pool planner", "difference", "difference, whole test split"]
+    return [
+        "S1 on the test split of each scheme, by rankers of its train split:",
+        table(of_levels, levels, align="llrrrrrr"),
+        "On scenes that no ranker was trained on, those of both test splits:",
+        table(of_drops, drops, align="llrrrrr"),
+        "The same rankers beside the full-pool planner, on the same groups, and on all of their own test split:",
+        table(of_gains, gains, align="llrrrr"),
+    ], metrics
+
+
+def _n_covered(entries: Mapping[Policy, Entry]) -> str:
+    return f"{entries[FULL_PLANNER].covered.height:,}"
 
 
 def _drops(known: Trained, held_out: Trained, task: Task, seed: int) -> tuple[list[list[object]], dict[str, float]]:
@@ -130,3 +171,26 @@ def _drops(known: Trained, held_out: Trained, task: Task, seed: int) -> tuple[li
         rows.append([*start, before[policy].s(1), after[policy].s(1), difference])
         metrics |= flat(f"test.{task.value}.{policy.name}.{held_out.scheme.value}.s1_minus_trained_on_others", difference)
     return rows, metrics
+
+
+def _gains(known: Trained, held_out: Trained, task: Task, seed: int) -> tuple[list[list[object]], dict[str, float]]:
+    """Rows and metrics of what each ranker is worth more than the planner where it was not trained on any: on the same scenes, on all."""
+    parts = {"s1_both_tests": held_out.among(known.scene_ids), "s1": held_out}
+    planner = {name: own.levels(task)[FULL_PLANNER] for name, own in parts.items()}
+    rankers = {name: own.learned(task) for name, own in parts.items()}
+    rows: list[list[object]] = []
+    metrics = flat(f"test.{task.value}.{FULL_PLANNER.name}.{held_out.scheme.value}.s1_both_tests", planner["s1_both_tests"].s(1))
+    for policy, both in rankers["s1_both_tests"].items():
+        gains = {name: _gain(rankers[name][policy], planner[name], seed) for name in parts}
+        rows.append([f"`{held_out.scheme.value}`", policy.label, both.s(1), planner["s1_both_tests"].s(1), *gains.values()])
+        prefix = f"test.{task.value}.{policy.name}.{held_out.scheme.value}"
+        metrics |= flat(f"{prefix}.s1_both_tests", both.s(1))
+        for name, gain in gains.items():
+            metrics |= flat(f"{prefix}.{name}_minus_{FULL_PLANNER.name}", gain)
+    return rows, metrics
+
+
+def _gain(ranker: Entry, planner: Entry, seed: int) -> Estimate | None:
+    """S1 of a ranker minus that of the planner, paired by group; None below `MIN_SCENES` scenes."""
+    bootstrap = SceneBootstrap(ranker.scene_ids, seed)
+    return (ranker.s_draws(1, bootstrap) - planner.s_draws(1, bootstrap)).estimate() if bootstrap.is_telling else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pyarrow as pa
 
@@ -12,12 +12,14 @@ from reports.ablation import VARIANTS, ablation_report
 from reports.audit import audit_report
 from reports.calibration_report import calibration_report
 from reports.ceiling import ceiling_report
-from reports.error_analysis import Films, errors_report
+from reports.costs import Costs
+from reports.error_analysis import N_WORST, errors_report
+from reports.error_films import Films
 from reports.gallery import gallery_report
 from reports.generalisation import generalisation_report
 from reports.learning_curve import learning_curve_report
 from reports.load import Task, check_parts
-from reports.planner_calls import Costs, planner_calls_report
+from reports.planner_calls import planner_calls_report
 from reports.planner_costs import planner_costs
 from reports.policies import LEARNED, TREES, TREES_POSES, prediction_seeds
 from reports.profile import profile_report
@@ -38,6 +40,8 @@ from tables.vocabulary import Split, SplitScheme
 
 # Filmstrips an execution status.
 N_FILMS = {"mini": 1, "pilot": 3, "full": 3}
+# Filmstrips of first choices that fail, a task: of all worst groups of `full`, where one takes 1.2 s of a core.
+N_ERROR_FILMS = {"mini": 1, "pilot": 3, "full": N_WORST}
 
 _RANKED = ("candidates", "splits", "scenes", "targets", "policy_features")
 _TIMES = ("decision_times", "tree_decision_times")
@@ -113,7 +117,7 @@ def _errors(sources: Sources) -> Report:
     tables, predictions, (recipe, why_not) = _judged(sources, Split.TEST), _all_predictions(sources), _recipe_of_films(sources)
     lacks = [text for name in _PICTURED if (text := sources.missing(name))]
     if recipe is not None and not lacks:
-        films = Films(sources.tables((*_PICTURED, "plans")), recipe, N_FILMS[sources.tier])
+        films = Films(sources.tables((*_PICTURED, "plans")), recipe, N_ERROR_FILMS[sources.tier])
     else:
         films = Films(why_not="; ".join([why_not] if why_not else lacks))
     assert predictions is not None
@@ -137,33 +141,31 @@ def _audit(sources: Sources) -> Report:
 
 
 def _success_at_k(sources: Sources) -> Report:
-    tables = _judged(sources, Split.VALIDATION, Split.TEST) | sources.tables(sources.there(["timings"]))
-    scores, (times, machine) = _all_predictions(sources), _decision_times(sources)
-    return success_at_k_report(tables, scores, times, tier=sources.tier, seed=sources.seed, scheme=sources.scheme, machine=machine)
+    tables, scores = _judged(sources, Split.VALIDATION, Split.TEST), _all_predictions(sources)
+    return success_at_k_report(tables, scores, _costs(sources), tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
 
 
 def _planner_calls(sources: Sources) -> Report:
     """Planning costs come from the table of that name, else from the timings of a whole release."""
-    tables, (times, machine) = _judged(sources, Split.TEST), _decision_times(sources)
-    timings = sources.tables(sources.there(["timings"]))
-    why_not, planning = "", None
-    if sources.there(["planner_costs"]):
-        planning = sources.table("planner_costs")
-    elif timings:
-        planning = planner_costs(timings["timings"], tables["candidates"])
-    else:
+    tables, costs = _judged(sources, Split.TEST), _costs(sources)
+    if costs.planning is None and sources.there(["timings"]):
+        costs = replace(costs, planning=planner_costs(sources.table("timings"), tables["candidates"]))
+    elif costs.planning is None:
         lacks = f"{sources.missing('planner_costs')}, and {sources.missing('timings')}"
-        why_not = f"{lacks}; `python -m reports.planner_costs` makes the one from the other"
-    costs = Costs(timing_frame(timings, times), planning, machine, why_not)
+        costs = replace(costs, why_no_planning=f"{lacks}; `python -m reports.planner_costs` makes the one from the other")
     scores = _all_predictions(sources)
     return planner_calls_report(tables, scores, costs, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
 
 
-def _decision_times(sources: Sources) -> tuple[pa.Table | None, str]:
-    """Those of the networks and those of the trees, as far as they are there, and the machines that they were measured on."""
+def _costs(sources: Sources) -> Costs:
+    """Timings of the release and decision times of networks and trees, as far as they are there; the planning costs beside it."""
     there = sources.there(_TIMES)
+    times = join_tables(TIMINGS, [sources.table(name) for name in there]) if there else None
     machines = dict.fromkeys(machine for name in there if (machine := sources.origin(name, MACHINE)))
-    return (join_tables(TIMINGS, [sources.table(name) for name in there]) if there else None), " and ".join(machines)
+    costs = Costs(timing_frame(sources.tables(sources.there(["timings"])), times), None, " and ".join(machines))
+    if not sources.there(["planner_costs"]):
+        return costs
+    return replace(costs, planning=sources.table("planner_costs"), planning_machine=sources.origin("planner_costs", MACHINE))
 
 
 def _of_learned(name: str, make: Callable[..., Report]) -> Kind:

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -16,6 +15,7 @@ from jaxtyping import Float
 
 from pipelines.frames import frame_of
 from reports import paper
+from reports.costs import Costs
 from reports.decision_times import decision_time_rows, decision_time_section
 from reports.entries import flat, prediction_frames, shown_rank
 from reports.load import Task, candidate_frame, of_scheme, scheme_note
@@ -27,23 +27,6 @@ from reports.report import Report, ReportError
 from reports.resampling import Draws, SceneBootstrap
 from splits.markdown import table
 from tables.vocabulary import Split, SplitScheme
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Costs:
-    """What deciding and planning took.
-
-    Attributes:
-        timings: frame of `timings`: of the release as far as it has them, and decision times of the learned policies.
-        planning: table `planner_costs`; None where there is none.
-        machine: on which the decision times were measured, "" where nothing says so.
-        why_no_planning: said where there are no planning costs.
-    """
-
-    timings: pl.DataFrame
-    planning: pa.Table | None
-    machine: str = ""
-    why_no_planning: str = ""
 
 
 class Stop(Enum):
@@ -149,9 +132,10 @@ def _about(costs: Costs, scheme: SplitScheme) -> str:
     return (
         "Candidates are handed to the planner in the order of a policy until one has a plan. Calls are means over the trainings, and all"
         " orders are of the same groups, so that differences are paired; intervals are 95 %, scenes and trainings resampled, none below"
-        f" {MIN_SCENES} scenes. Seconds are those of ordering the group (the policy's mean decision time) and of our own planner on each"
-        " candidate that is handed to it, core time of one CPU as it was measured when the labels were made; nothing is counted for"
-        " execution. Planning everything hands over all candidates of the group, as the full-pool planner must before it can choose."
+        f" {MIN_SCENES} scenes. **Seconds a group are a sum**: the policy's mean decision time (wall-clock of learned policies, core time"
+        " of others) and the core time of our own planner on each candidate that is handed to it,"
+        f" {costs.planning_measured}; nothing is counted for execution."
+        " Planning everything hands over all candidates of the group, as the full-pool planner must before it can choose."
         f" Policies whose decision was not timed show planning alone.{in_paper if scheme is SplitScheme.SCENE else ''}"
     )
 

@@ -19,6 +19,7 @@ import pyarrow as pa
 
 from model.decision_times import machine_name
 from pipelines.frames import frame_of
+from reports.costs import PLANNING_STAGE
 from reports.ranking import MACHINE
 from reports.report import ReportError
 from splits.release_reader import Release
@@ -28,8 +29,6 @@ from tables.schemas import PLANNER_COSTS
 from tables.store import table_from_columns, write_table
 from tables.vocabulary import Split
 
-STAGE = "planning_labels"
-
 
 def planner_costs(timings: pa.Table, candidates: pa.Table) -> pa.Table:
     """Table `planner_costs`, a row a candidate.
@@ -37,11 +36,13 @@ def planner_costs(timings: pa.Table, candidates: pa.Table) -> pa.Table:
     Raises:
         ReportError: a candidate whose planning was not timed.
     """
-    timed = frame_of(timings).filter(pl.col("stage") == STAGE).select(pl.col("item_id").alias("candidate_id"), "core_ms")
+    timed = frame_of(timings).filter(pl.col("stage") == PLANNING_STAGE).select(pl.col("item_id").alias("candidate_id"), "core_ms")
     joined = frame_of(candidates, ["candidate_id"]).join(timed, on="candidate_id", how="left").sort("candidate_id")
     lost = joined.filter(pl.col("core_ms").is_null())
     if not lost.is_empty():
-        raise ReportError(f"timings: {lost['candidate_id'][0]} has no row of stage {STAGE} ({lost.height} candidates have none, must be 0)")
+        raise ReportError(
+            f"timings: {lost['candidate_id'][0]} has no row of stage {PLANNING_STAGE} ({lost.height} candidates have none, must be 0)"
+        )
     return table_from_columns(PLANNER_COSTS, {name: joined[name].to_list() for name in PLANNER_COSTS.names})
 
 

@@ -16,11 +16,11 @@ from typing import Any
 import polars as pl
 
 from pipelines.codecs import Row
-from pipelines.labels.planning import motion_of
 from pipelines.pictures.filmstrip import film, filmstrip
-from pipelines.pictures.recording import Recording, record_execution, record_rejection
+from pipelines.pictures.recording import Recording
 from pipelines.pictures.trace import trace
 from pipelines.recipe import DEFAULT_RECIPE, Recipe
+from reports.recordings import recording_of
 from reports.report import ReportError
 from reports.sources import Sources
 from splits.examples import chosen_by_outcome
@@ -43,14 +43,7 @@ def recorded(release: Release, candidate_id: str, recipe: Recipe) -> Recording:
     Raises:
         ReportError: the run ended otherwise than its row says, or an executed candidate has no plan.
     """
-    values, candidate = release.values, release.candidate(candidate_id)
-    stored, plan = values.labels(candidate_id), values.plan(candidate_id)
-    object_model = values.object_model_of(candidate)
-    if not stored["y_plan"]:
-        return record_rejection(object_model, candidate, recipe.planning.release_height_m, stored)
-    if plan is None:
-        raise ReportError(f"{candidate_id}: is planned, but has no row in plans")
-    recording = record_execution(object_model, candidate, motion_of(candidate, plan, recipe.planning), recipe.execution_setup, stored)
+    stored, recording = release.values.labels(candidate_id), recording_of(release.values, candidate_id, recipe)
     others = [name for name, value in stored.items() if recording.labels[name] != value]
     if others:
         raise ReportError(f"{candidate_id}: {others[0]} is {stored[others[0]]!r}, came out {recording.labels[others[0]]!r} when run again")

@@ -15,12 +15,13 @@ import pyarrow as pa
 from pipelines.frames import frame_of
 from reports import paper
 from reports.command import Asked, report_command
+from reports.costs import Costs
 from reports.entries import Entry, comparison, entries_of, entry_of, prediction_frames
 from reports.figures import ladder_figure
 from reports.ladder import ladder_bars, ladder_metrics, ladder_table
 from reports.load import Task, candidate_frame, group_frame, of_scheme, scheme_note
 from reports.metrics import MIN_SCENES, Estimate, coverage
-from reports.policies import LEARNED, ORACLE, PLAN_HEAD_ONLY, RANKER, Policy, prediction_seeds
+from reports.policies import IK_AND_GRIPPER, LEARNED, ORACLE, PLAN_HEAD_ONLY, RANKER, Policy, prediction_seeds
 from reports.ranking import TASK_TITLE, timing_frame
 from reports.report import Report
 from reports.strata import strata_section
@@ -52,31 +53,30 @@ class _Inputs:
 def success_at_k_report(
     tables: Mapping[str, pa.Table],
     predictions: pa.Table | None = None,
-    ranker_timings: pa.Table | None = None,
+    costs: Costs | None = None,
     *,
     tier: str,
     seed: int,
     scheme: SplitScheme = SplitScheme.SCENE,
-    machine: str = "",
 ) -> Report:
     """Report `success_at_k`.
 
     Args:
-        tables: a release: `candidates`, `splits`, `scenes`, `targets`, `policy_features`, and `timings` where decision times are wanted.
+        tables: a release: `candidates`, `splits`, `scenes`, `targets`, `policy_features`, and `timings` where there are no `costs`.
         predictions: table `predictions` of any learned policies (`policies.LEARNED`), any seeds; those without are left out.
-        ranker_timings: table `timings` of learned policies, see `ranking.ranker_timing_rows`.
+        costs: what deciding and planning took; by default what the release's own `timings` say.
         tier: printed in the title.
         seed: seed of the hash order and the resampling.
         scheme: by what scenes are dealt to the splits; the one that the rankers of `predictions` were trained under.
-        machine: on which `ranker_timings` were measured.
     """
     frame = candidate_frame(tables, seed, scheme)
     scores = None if predictions is None else frame_of(predictions)
     seeds = {policy: own for policy in LEARNED if (own := prediction_seeds(predictions, policy.variant))}
     groups = {task: group_frame(tables, task, scheme) for task in Task}
-    inputs = _Inputs(tier, scheme, seed, frame, scores, groups, timing_frame(tables, ranker_timings))
+    costs = costs or Costs(timing_frame(tables), None)
+    inputs = _Inputs(tier, scheme, seed, frame, scores, groups, costs.all_timings)
 
-    blocks = [f"# S_K on tier {tier}{of_scheme(scheme)}", *scheme_note(scheme), _introduction(seeds, scheme, machine)]
+    blocks = [f"# S_K on tier {tier}{of_scheme(scheme)}", *scheme_note(scheme), _introduction(seeds, scheme, costs)]
     metrics: dict[str, float] = {}
     figures: dict[str, bytes] = {}
     for split in _SPLITS:
@@ -90,7 +90,7 @@ def success_at_k_report(
     return Report("success_at_k", "\n\n".join(blocks) + "\n", figures, metrics)
 
 
-def _introduction(seeds: Mapping[Policy, Sequence[int]], scheme: SplitScheme, machine: str) -> str:
+def _introduction(seeds: Mapping[Policy, Sequence[int]], scheme: SplitScheme, costs: Costs) -> str:
     trained = "; ".join(f"{policy.label} {', '.join(map(str, own))}" for policy, own in seeds.items())
     learned = f"Learned policies are means over their trainings, by seed: {trained}." if seeds else ""
     unscored = "The paper's ranker was not scored: its rows are" if seeds else "No ranker was scored: their rows are"
@@ -106,9 +106,18 @@ def _introduction(seeds: Mapping[Policy, Sequence[int]], scheme: SplitScheme, ma
         " policy orders the same candidates and breaks ties by the candidate's hash. Endpoint policies try what passes first and the rest"
         " after it. Intervals are 95 % and take into account that the groups of a scene are alike, and that trainings differ. Decision time"
         " is core time of one CPU for all of a group's computations, fresh; that of learned policies is wall-clock time from the scene's"
-        f" points to scores{f', on {machine}' if machine else ''}; by size of the group it is in report `planner_calls`."
-        f" {learned}{missing}{in_paper}"
+        f" points to scores{f', on {costs.machine}' if costs.machine else ''}; by size of the group it is in report `planner_calls`."
+        f"{_planning_time(costs)} {learned}{missing}{in_paper}"
     )
+
+
+def _planning_time(costs: Costs) -> str:
+    """When planning was timed, and why other rows are not."""
+    elsewhere = ", so of that split alone" if costs.planning_machine else ""
+    planning = f" That of the full-pool planner is planning all of a group's candidates, {costs.planning_measured}{elsewhere}."
+    is_timed = costs.timings["stage"].is_in(list(IK_AND_GRIPPER.candidate_stages)).any()
+    lacks = " Checks of IK and gripper are *not measured*: they are timed in table `timings` alone, which a light release leaves out."
+    return (planning if costs.planning is not None else "") + ("" if is_timed else lacks)
 
 
 def _entries(inputs: _Inputs, split: str, task: Task) -> list[Entry]:

@@ -9,15 +9,18 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from objects.gripper import gripper_boxes, open_jaw_m
+from objects.gripper import MAX_JAW_M, gripper_boxes, open_jaw_m
 from pipelines.engines.physics.phases import Phase
+from pipelines.engines.robot.arm import fk
+from pipelines.engines.robot.geometry import moved
 from pipelines.pictures.recording import Moment, Recording
 from pipelines.pictures.renderer import Renderer, Rgb, View
 from pipelines.pictures.sheet import Tile, moving, sheet
-from pipelines.pictures.views import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, picture_view, shrunk
+from pipelines.pictures.views import GHOST_RGB, OBJECT_RGB, OBSTACLE_RGB, add_table, keeping_in_view, picture_view, shrunk
 
 PLACE_HAND_RGB: Rgb = (0.84, 0.37, 0.0)  # the hand at the place of a candidate that was not planned
 _GHOST_OPACITY = 0.4
+_FELL_M = -0.05  # below the top of the table
 _STRIP_FRAMES = 8
 _STRIP_COLUMNS = 4
 _STRIP_PX = (320, 240)
@@ -93,6 +96,23 @@ def filmstrip(recording: Recording) -> bytes:
     return sheet([Tile(frame.picture, _caption(frame)) for frame in frames], _STRIP_COLUMNS, _title(recording))
 
 
+def strip_tiles(recording: Recording, n_frames: int, size_px: tuple[int, int]) -> list[Tile]:
+    """One row of a sheet of many candidates: its id under the first picture, what became of it under the last.
+
+    A rejection has two pictures and is filled up with white ones; so is an execution with fewer moments than frames.
+    """
+    name = recording.candidate.candidate_id
+    if recording.is_executed:
+        frames = execution_frames(recording, n_frames, size_px)
+        captions = [f"{name}  {_caption(frames[0])}", *map(_caption, frames[1:-1]), f"{frames[-1].time_s:.2f} s: {_status(recording)}"]
+        tiles = [Tile(frame.picture, caption) for frame, caption in zip(frames, captions, strict=True)]
+    else:
+        start, place = _rejection_tiles(recording, size_px)
+        tiles = [Tile(start.picture, f"{name}  after the lift"), Tile(place.picture, _status(recording))]
+    white = np.full((size_px[1], size_px[0], 3), 255, dtype=np.uint8)
+    return [*tiles, *(Tile(white, "") for _ in range(n_frames - len(tiles)))]
+
+
 def film(recording: Recording) -> bytes:
     """GIF in real time: an execution and its end, or the two pictures of a rejection in turn."""
     if not recording.is_executed:
@@ -112,6 +132,11 @@ def _title(recording: Recording) -> str:
         degrees = np.rad2deg(labels["final_rotation_error_rad"])
         parts.append(f"{1e3 * labels['final_position_error_m']:.1f} mm and {degrees:.1f}° from the target")
     return f"{'; '.join(parts)} ({recording.object_model.object_id})"
+
+
+def _status(recording: Recording) -> str:
+    labels = recording.labels
+    return str(labels["exec_status" if recording.is_executed else "plan_status"]).replace("_", " ")
 
 
 def _caption(frame: Frame) -> str:
@@ -135,8 +160,27 @@ def _rejection_tiles(recording: Recording, size_px: tuple[int, int]) -> list[Til
 
 
 def _view(recording: Recording, size_px: tuple[int, int]) -> View:
+    """Of the way from object to target, moved back where hand or object leave that on the way."""
     scene, target = recording.candidate.scene, recording.candidate.target
-    return picture_view(size_px, (scene.T_base_object[:2, 3] + target.T_base_target[:2, 3]) / 2)
+    near = picture_view(size_px, (scene.T_base_object[:2, 3] + target.T_base_target[:2, 3]) / 2)
+    return keeping_in_view(near, _ends_of_hand_and_object(recording))
+
+
+def _ends_of_hand_and_object(recording: Recording) -> Float[np.ndarray, "n 3"]:
+    """Corners of the boxes around both at every moment and around the target, but for what fell off the table."""
+    in_object = _box_corners(recording.object_model.mesh.vertices_m)
+    in_hand = np.concatenate(
+        [moved(T, _box_corners(np.array([-size_m / 2, size_m / 2]))) for T, size_m in zip(*gripper_boxes(MAX_JAW_M), strict=True)]
+    )
+    places = [moved(moment.T_base_object, in_object) for moment in recording.moments]
+    hands = [moved(fk(moment.q_rad), in_hand) for moment in recording.moments]
+    points_m = np.concatenate([*places, *hands, moved(recording.candidate.target.T_base_target, in_object)])
+    return points_m[points_m[:, 2] > _FELL_M]
+
+
+def _box_corners(points_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "8 3"]:
+    ends = np.array([points_m.min(axis=0), points_m.max(axis=0)])
+    return np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
 
 def _add_scene(renderer: Renderer, recording: Recording) -> None:

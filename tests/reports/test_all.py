@@ -14,9 +14,11 @@ import pytest
 from model.settings import SCHEME_OF_PREDICTIONS
 from reports import ablation, success_at_k
 from reports.all import main
+from reports.costs import Costs
 from reports.kinds import KINDS
 from reports.learning_curve import learning_curve_table
 from reports.planner_costs import planner_costs
+from reports.ranking import timing_frame
 from reports.report import ReportError
 from reports.sources import BESIDE, Sources
 from reports.success_at_k import success_at_k_report
@@ -101,7 +103,8 @@ def test_a_report_is_the_one_of_its_module(data: Path, release_tables: dict[str,
     sources = Sources(Release.open(data / "release" / "full"), data / "predictions" / "full")
     times = join_tables(schemas.TIMINGS, [sources.table(name) for name in ("decision_times", "tree_decision_times")])
     both = join_tables(schemas.PREDICTIONS, [predictions, sources.table("tree_predictions")])
-    expected = success_at_k_report(release_tables, both, times, tier="full", seed=42)
+    costs = Costs(timing_frame(release_tables, times), sources.table("planner_costs"))
+    expected = success_at_k_report(release_tables, both, costs, tier="full", seed=42)
     made = KINDS["success_at_k"].make(sources)
     assert (made.markdown, dict(made.metrics)) == (expected.markdown, dict(expected.metrics))
     assert made.metrics["test.joint.ranker.decision_ms"] == made.metrics["test.joint.trees.decision_ms"] == 1.0

@@ -6,10 +6,13 @@ import polars as pl
 import pyarrow as pa
 import pytest
 
-from reports.error_analysis import Films, errors_report, worst_groups
+from reports.error_analysis import errors_report, worst_groups
+from reports.error_films import Films
 from reports.load import Task
 from reports.policies import RANKER
 from reports.report import Report
+from tables import schemas
+from tables.store import table_from_rows
 from tests.reports.conftest import scores_of
 
 
@@ -83,3 +86,43 @@ def test_every_worst_group_has_its_command_and_films_are_said_to_be_missing(repo
         assert len(str(row["tried"]).split()) == row["rank"] - 1
     assert "No films: no plans here." in report.markdown
     assert set(report.figures) == {"errors-first_choice-joint", "errors-first_choice-fixed"}
+
+
+def test_the_worst_groups_are_told_by_object_and_by_how_few_successes_they_hold(report: Report) -> None:
+    rows = [row for row in report.tables["errors-worst"] if row["task"] == "fixed"]
+    n_hard = sum(row["n_success"] <= 2 for row in rows)
+    (line,) = (line for line in report.markdown.splitlines() if "hold one or two successes; by object: " in line)
+    assert line.startswith(f"{n_hard} of these {len(rows)} hold")
+    told = dict(part.rsplit(" ", 1) for part in line.partition("by object: ")[2].removesuffix(".").split(", "))
+    assert {name: int(n) for name, n in told.items()} == Counter(row["object_id"] for row in rows)
+
+
+def test_errors_that_trainings_and_policies_share_are_those_of_a_count_by_hand(
+    release_tables: dict[str, pa.Table], predictions: pa.Table
+) -> None:
+    """Two trainings of one network as `local`, one of another as `trees`, and the paper's."""
+    of = {
+        ("full", 42): ("local", 42),
+        ("full", 43): ("local", 43),
+        ("no_target_hypothesis", 42): ("trees", 42),
+        ("direct", 42): ("full", 42),
+    }
+    rows = [row for row in predictions.to_pylist() if (row["variant"], row["seed"]) in of]
+    renamed = [row | dict(zip(("variant", "seed"), of[row["variant"], row["seed"]], strict=True)) for row in rows]
+    metrics = errors_report(release_tables, table_from_rows(schemas.PREDICTIONS, renamed), tier="pilot", seed=42).metrics
+    test = {row["scene_id"] for row in release_tables["splits"].to_pylist() if row["split"] == "test"}
+    wrong: dict[tuple[str, int], set[tuple[str, int]]] = {}
+    for source, name in of.items():
+        score = scores_of(predictions, *source)
+        groups: dict[tuple[str, int], list[tuple[float, bool]]] = {}
+        for row in release_tables["candidates"].to_pylist():
+            if row["scene_id"] in test:
+                groups.setdefault((row["scene_id"], row["target_id"]), []).append((score[row["candidate_id"]], bool(row["y_pipe"])))
+        wrong[name] = {key for key, own in groups.items() if any(hit for _, hit in own) and not max(own)[1]}
+    always = wrong["local", 42] & wrong["local", 43]
+    assert always
+    assert [metrics[f"test.fixed.local.n_wrong_{seed}"] for seed in (42, 43)] == [len(wrong["local", seed]) for seed in (42, 43)]
+    assert metrics["test.fixed.local.n_wrong_every_training"] == len(always)
+    assert metrics["test.fixed.local.n_wrong_every_training_and_trees"] == len(always & wrong["trees", 42])
+    assert metrics["test.fixed.local.n_wrong_every_training_and_ranker"] == len(always & wrong["full", 42])
+    assert metrics["test.fixed.n_wrong_everyone"] == len(always & wrong["trees", 42] & wrong["full", 42])

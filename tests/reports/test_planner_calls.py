@@ -1,14 +1,17 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 import pyarrow as pa
 import pytest
 
 from pipelines.frames import frame_of
+from reports.costs import Costs
 from reports.decision_times import decision_time_rows
 from reports.load import Task
-from reports.planner_calls import Costs, Stop, planned_in_order, planner_calls_report
+from reports.planner_calls import Stop, planned_in_order, planner_calls_report
 from reports.planner_costs import planner_costs
 from reports.ranking import timing_frame
 from reports.report import Report, ReportError
@@ -106,6 +109,7 @@ def test_an_order_never_plans_more_than_everything_nor_stops_later_for_a_plan_th
     assert "test.fixed.ranker.first_plan.total_s" not in report.metrics, "no fixed group was timed"
     assert "| Paper's ranker | not timed |" in report.markdown
     assert "measured on **a machine**" in report.markdown
+    assert "handed to it, measured when the labels were made; nothing" in report.markdown
     for figure in ("1.17", "1.47"):
         assert f"| {figure} |" in report.markdown
 
@@ -113,12 +117,21 @@ def test_an_order_never_plans_more_than_everything_nor_stops_later_for_a_plan_th
 def test_without_planning_costs_calls_are_printed_and_what_is_missing_is_said(
     release_tables: dict[str, pa.Table], predictions: pa.Table, report: Report
 ) -> None:
-    bare = planner_calls_report(release_tables, predictions, Costs(timing_frame({}), None, "", "no file"), tier="pilot", seed=42)
+    bare = planner_calls_report(
+        release_tables, predictions, Costs(timing_frame({}), None, why_no_planning="no file"), tier="pilot", seed=42
+    )
     assert "Not known: no file." in bare.markdown
     assert not [name for name in bare.metrics if name.endswith("_s")]
     assert {name: value for name, value in report.metrics.items() if "calls" in name} == {
         name: value for name, value in bare.metrics.items() if "calls" in name
     }
+
+
+def test_planning_that_was_measured_again_says_where(release_tables: dict[str, pa.Table], times: pa.Table) -> None:
+    again = replace(costs_of(release_tables, times), planning_machine="another machine")
+    made = planner_calls_report(release_tables, None, again, tier="pilot", seed=42)
+    assert "handed to it, measured on another machine by planning the test candidates again; nothing" in made.markdown
+    assert "when the labels were made" not in made.markdown
 
 
 def test_costs_are_those_of_the_planning_stage_and_of_every_candidate(release_tables: dict[str, pa.Table], times: pa.Table) -> None:

@@ -3,6 +3,8 @@ from __future__ import annotations
 import pyarrow as pa
 import pytest
 
+from reports.costs import Costs
+from reports.ranking import timing_frame
 from reports.report import Report, ReportError
 from reports.success_at_k import success_at_k_report
 from tables import schemas
@@ -67,9 +69,31 @@ def test_decision_times_are_measured_or_said_not_to_be(report: Report, release_t
     assert "| not measured |" in report.markdown
     ids = sorted(in_test)
     timed = table_from_columns(schemas.TIMINGS, {"stage": ["ranker"] * 2, "item_id": ids[:2], "core_ms": [10.0, 20.0]})
-    with_times = success_at_k_report(release_tables, predictions, timed, tier="pilot", seed=42)
+    costs = Costs(timing_frame(release_tables, timed), None)
+    with_times = success_at_k_report(release_tables, predictions, costs, tier="pilot", seed=42)
     assert with_times.metrics["test.joint.ranker.decision_ms"] == 15.0
     assert "| 0.015 (of 2 groups) |" in with_times.markdown
+
+
+def test_planning_costs_of_the_test_split_time_the_full_pool_planner_there_alone(release_tables: dict[str, pa.Table]) -> None:
+    """As of a light release, which has no timings; the others are said to be unmeasured, and why."""
+    in_test = _test_scenes(release_tables)
+    ids = [row["candidate_id"] for row in _rows(release_tables) if row["scene_id"] in in_test]
+    planning = table_from_columns(schemas.PLANNER_COSTS, {"candidate_id": ids, "core_ms": [float(k % 97) for k in range(len(ids))]})
+    costs = Costs(timing_frame({}), planning, planning_machine="a machine")
+    light = success_at_k_report(release_tables, None, costs, tier="pilot", seed=42)
+    mean_ms = sum(k % 97 for k in range(len(ids))) / len(in_test)
+    assert light.metrics["test.joint.full_planner.decision_ms"] == pytest.approx(mean_ms)
+    assert [name for name in light.metrics if "decision_ms" in name and name.startswith(("validation", "all"))] == []
+    assert "test.joint.ik_only.decision_ms" not in light.metrics
+    introduction = light.markdown.split("## ")[0]
+    assert "measured on a machine by planning the test candidates again, so of that split alone." in introduction
+    assert "Checks of IK and gripper are *not measured*" in introduction
+    # What a release itself timed is told of every split, and what was measured again goes before it.
+    both = success_at_k_report(release_tables, None, Costs(timing_frame(release_tables), planning), tier="pilot", seed=42)
+    assert both.metrics["test.joint.full_planner.decision_ms"] == pytest.approx(mean_ms)
+    assert "validation.joint.full_planner.decision_ms" in both.metrics
+    assert "*not measured*" not in both.markdown.split("## ")[0]
 
 
 def test_rows_in_another_order_give_the_same_report(report: Report, release_tables: dict[str, pa.Table], predictions: pa.Table) -> None:
