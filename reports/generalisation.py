@@ -94,7 +94,8 @@ _ABOUT = (
     " but that of the paper's split was trained on others with the same object, category and number of obstacles. The difference is paired"
     " by group, and is one of training: in what was trained on, and in how much and how often, which table *Trainings* tells. What a"
     " ranker is worth that was not trained on any is its difference from the full-pool planner, which learns nothing and plans every"
-    f" candidate, on the same groups. Intervals are 95 %, resampled by scene and training; none below {MIN_SCENES} scenes."
+    f" candidate, on the same groups. Intervals are 95 %, scenes resampled and the error of few trainings"
+    f" added (of one training: of this very one); none below {MIN_SCENES} scenes."
 )
 
 

@@ -34,7 +34,7 @@ from reports.success_at_k import DESIGNATED_SEED, success_at_k_report
 from reports.trees_probe import trees_probe_report
 from splits.errors import ReleaseError
 from splits.release_laws import stage_tables
-from tables.schemas import OBJECT_TABLES, PREDICTIONS, TIMINGS
+from tables.schemas import OBJECT_TABLES, TIMINGS
 from tables.store import join_tables
 from tables.vocabulary import Split, SplitScheme
 
@@ -114,7 +114,7 @@ def _learning_curve(sources: Sources) -> Report:
 
 
 def _errors(sources: Sources) -> Report:
-    tables, predictions, (recipe, why_not) = _judged(sources, Split.TEST), _all_predictions(sources), _recipe_of_films(sources)
+    tables, predictions, (recipe, why_not) = _judged(sources, Split.TEST), sources.scores(), _recipe_of_films(sources)
     lacks = [text for name in _PICTURED if (text := sources.missing(name))]
     if recipe is not None and not lacks:
         films = Films(sources.tables((*_PICTURED, "plans")), recipe, N_ERROR_FILMS[sources.tier])
@@ -141,7 +141,7 @@ def _audit(sources: Sources) -> Report:
 
 
 def _success_at_k(sources: Sources) -> Report:
-    tables, scores = _judged(sources, Split.VALIDATION, Split.TEST), _all_predictions(sources)
+    tables, scores = _judged(sources, Split.VALIDATION, Split.TEST), sources.scores()
     return success_at_k_report(tables, scores, _costs(sources), tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
 
 
@@ -153,7 +153,7 @@ def _planner_calls(sources: Sources) -> Report:
     elif costs.planning is None:
         lacks = f"{sources.missing('planner_costs')}, and {sources.missing('timings')}"
         costs = replace(costs, why_no_planning=f"{lacks}; `python -m reports.planner_costs` makes the one from the other")
-    scores = _all_predictions(sources)
+    scores = sources.scores()
     return planner_calls_report(tables, scores, costs, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
 
 
@@ -172,7 +172,7 @@ def _of_learned(name: str, make: Callable[..., Report]) -> Kind:
     """A report on the learned policies alone, made of what they predict of validation and test."""
 
     def made(sources: Sources) -> Report:
-        tables, predictions = _judged(sources, Split.VALIDATION, Split.TEST), _all_predictions(sources)
+        tables, predictions = _judged(sources, Split.VALIDATION, Split.TEST), sources.scores()
         return make(tables, predictions, tier=sources.tier, seed=sources.seed, scheme=sources.scheme)
 
     return Kind(name, _LEARNED, made, ("tree_predictions",), shown_parts={"predictions": _VARIANTS}, by_split=True)
@@ -200,19 +200,13 @@ def _judged(sources: Sources, *needed: Split) -> dict[str, pa.Table]:
 
 
 def _generalisation(sources: Sources) -> Report:
-    predictions = {scheme: found for scheme in SplitScheme if (found := _all_predictions(sources, scheme)) is not None}
+    predictions = {scheme: found for scheme in SplitScheme if (found := sources.scores(scheme)) is not None}
     return generalisation_report(sources.tables(_RANKED), predictions, tier=sources.tier, seed=sources.seed)
 
 
 def _ceiling(sources: Sources) -> Report:
     tables, replicates = sources.tables(_RANKED), sources.table("test_replicates")
-    return ceiling_report(tables, replicates, _all_predictions(sources), tier=sources.tier, seed=sources.seed)
-
-
-def _all_predictions(sources: Sources, scheme: SplitScheme = SplitScheme.SCENE) -> pa.Table | None:
-    """Those of the networks and those of the trees of a scheme, as far as they are there."""
-    there = sources.tables(sources.there(scores_of(scheme)))
-    return join_tables(PREDICTIONS, list(there.values())) if there else None
+    return ceiling_report(tables, replicates, sources.scores(), tier=sources.tier, seed=sources.seed)
 
 
 _OTHER_SCORES = [name for scheme in SplitScheme if scheme is not SplitScheme.SCENE for name in scores_of(scheme)]

@@ -131,12 +131,12 @@ def _about(costs: Costs, scheme: SplitScheme) -> str:
     in_paper = f" Paper: Section VI-A, its ranker; median {paper.PLANNER_CALLS_MEDIAN}, 90th percentile {paper.PLANNER_CALLS_P90}."
     return (
         "Candidates are handed to the planner in the order of a policy until one has a plan. Calls are means over the trainings, and all"
-        " orders are of the same groups, so that differences are paired; intervals are 95 %, scenes and trainings resampled, none below"
-        f" {MIN_SCENES} scenes. **Seconds a group are a sum**: the policy's mean decision time (wall-clock of learned policies, core time"
-        " of others) and the core time of our own planner on each candidate that is handed to it,"
-        f" {costs.planning_measured}; nothing is counted for execution."
-        " Planning everything hands over all candidates of the group, as the full-pool planner must before it can choose."
-        f" Policies whose decision was not timed show planning alone.{in_paper if scheme is SplitScheme.SCENE else ''}"
+        " orders are of the same groups, so that differences are paired; intervals are 95 %, scenes resampled and the error of few"
+        f" trainings added (of one training: of this very one), none below {MIN_SCENES} scenes. **Seconds a group are a sum**: the"
+        " policy's mean decision time (wall-clock of learned policies, core time of others) and the core time of our own planner on each"
+        f" candidate that is handed to it, {costs.planning_measured}; nothing is counted for execution. Planning everything hands over all"
+        " candidates of the group, as the full-pool planner must before it can choose. Policies whose decision was not timed show"
+        f" planning alone.{in_paper if scheme is SplitScheme.SCENE else ''}"
     )
 
 

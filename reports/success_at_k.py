@@ -104,7 +104,8 @@ def _introduction(seeds: Mapping[Policy, Sequence[int]], scheme: SplitScheme, co
     return (
         "A group is *covered* when it holds a success; S_K is the share of covered groups with a success among the first K tried. Every"
         " policy orders the same candidates and breaks ties by the candidate's hash. Endpoint policies try what passes first and the rest"
-        " after it. Intervals are 95 % and take into account that the groups of a scene are alike, and that trainings differ. Decision time"
+        " after it. Intervals are 95 % and take into account that the groups of a scene are alike, and that trainings"
+        " differ (of one training: of this very one). Decision time"
         " is core time of one CPU for all of a group's computations, fresh; that of learned policies is wall-clock time from the scene's"
         f" points to scores{f', on {costs.machine}' if costs.machine else ''}; by size of the group it is in report `planner_calls`."
         f"{_planning_time(costs)} {learned}{missing}{in_paper}"
@@ -183,8 +184,9 @@ def _comparison(entries: Sequence[Entry], groups: pl.DataFrame, seed: int, prefi
     letters, metrics = comparison(usable, seed, prefix)
     strata, values = strata_section(usable, groups, prefix)
     text = (
-        "Two policies that share a letter do not differ at 95 %, all pairs judged together on the same groups, scenes and trainings"
-        " resampled. Letters of S1 and of the mean rank of the first success in a covered group, the finer measure, are apart."
+        "Two policies that share a letter do not differ at 95 %, all pairs judged together on the same groups, scenes resampled and the"
+        " error of few trainings added. Letters of S1 and of the mean rank of the first success in a covered group, the finer measure,"
+        " are apart."
     )
     return [text, letters, strata], metrics | values
 
