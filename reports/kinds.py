@@ -21,7 +21,7 @@ from reports.learning_curve import learning_curve_report
 from reports.load import Task, check_parts
 from reports.planner_calls import planner_calls_report
 from reports.planner_costs import planner_costs
-from reports.policies import LEARNED, TREES, TREES_POSES, prediction_seeds
+from reports.policies import LEARNED, TREES, TREES_POSES
 from reports.profile import profile_report
 from reports.ranking import MACHINE, timing_frame
 from reports.repeatability import repeatability_report
@@ -185,10 +185,8 @@ def _ablation(sources: Sources) -> Report:
 
 def _trees_probe(sources: Sources) -> Report:
     tables, predictions = _judged(sources, Split.TRAIN, Split.TEST), sources.table("tree_predictions")
-    seeds = prediction_seeds(predictions, "trees")
-    seed = DESIGNATED_SEED if DESIGNATED_SEED in seeds else min(seeds, default=DESIGNATED_SEED)
     title = f"Trees on {sources.tier}, train split to test split"
-    return trees_probe_report(tables, predictions, split="test", seed=seed, title=title, scheme=sources.scheme)
+    return trees_probe_report(tables, predictions, split="test", seed=DESIGNATED_SEED, title=title, scheme=sources.scheme)
 
 
 def _judged(sources: Sources, *needed: Split) -> dict[str, pa.Table]:
@@ -259,7 +257,7 @@ KINDS = {
             "trees_probe",
             (*_RANKED, "tree_predictions"),
             _trees_probe,
-            parts={"tree_predictions": ("trees", "trees_poses")},
+            parts={"tree_predictions": (f"{TREES.variant}.{DESIGNATED_SEED}", f"{TREES_POSES.variant}.{DESIGNATED_SEED}")},
             by_split=True,
         ),
         Kind("generalisation", (*_LEARNED, _OTHER_SCORES[0]), _generalisation, ("tree_predictions", *_OTHER_SCORES[1:])),

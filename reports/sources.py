@@ -127,7 +127,8 @@ class Sources:
         """What is not there of a table, naming its file and the command that makes it again where there is one; "" where all is.
 
         Args:
-            parts: what the table must hold: variants of `predictions` and `tree_predictions`, tasks of `decision_times`.
+            parts: what the table must hold: tasks of `decision_times`; variants of `predictions` and `tree_predictions`, all of the same
+                seeds, or one training of a variant, as `trees.42`.
 
         Raises:
             StoreError, ReportError: the table is there, but `table` does not take it.
@@ -148,12 +149,17 @@ class Sources:
         if BESIDE[name] is not PREDICTIONS:
             found = {Task.FIXED if "-t" in item else Task.JOINT for item in table["item_id"].to_pylist()}
             return [f"task {part}" for part in parts if Task(part) not in found]
-        seeds = {variant: set(own) for variant, own in seeds_of_variants(table).items() if variant in parts}
-        every = sorted(set().union(*seeds.values()))
-        lacking = {part: [str(seed) for seed in every if seed not in seeds.get(part, set())] for part in parts}
-        return [
-            part if part not in seeds else f"{part} of seed {', '.join(own)}" for part, own in lacking.items() if own or part not in seeds
-        ]
+        known = seeds_of_variants(table)
+        every = sorted({seed for part in parts for seed in known.get(part, ())})
+        lacking = []
+        for part in parts:
+            variant, _, one = part.partition(".")
+            wanted = [int(one)] if one else every
+            if variant not in known:
+                lacking.append(variant)
+            elif own := [str(seed) for seed in wanted if seed not in known[variant]]:
+                lacking.append(f"{variant} of seed {', '.join(own)}")
+        return lacking
 
     def path(self, name: str) -> Path:
         """Where a table about the release lies."""
