@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pyarrow.compute as pc
 import pytest
 from dagster import DagsterInstance, ExecuteInProcessResult, materialize
 
