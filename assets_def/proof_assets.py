@@ -24,7 +24,7 @@ from pipelines.stages import STAGE
 from reports.repeatability import N_REPEATS, N_TASKS_REPEATED, choose_tasks
 from splits.manifest import read_manifest
 from splits.release_reader import Release
-from splits.replicates import execute_replicates, kept_beside, replicates_made_from
+from splits.replicates import checked_recipe, execute_replicates, kept_beside, replicates_made_from
 from tables.columns import TableSchema
 from tables.schemas import ATTEMPTS, AUDITS, OBJECT_TABLES, TEST_REPLICATES
 from tables.store import table_from_rows
@@ -135,7 +135,8 @@ def _audit_made_from(benchmark: Benchmark, tier: str) -> dict[str, str]:
 
 def _replicate(benchmark: Benchmark, tier: str, log: Callable[[str], Any]) -> pa.Table:
     release, kept = Release.open(benchmark.root.release(tier)), kept_beside(benchmark.root.tier_table(tier, TEST_REPLICATES.name))
-    return execute_replicates(release, kept, None, benchmark.n_workers, N_REPLICATED[tier], benchmark.recipe_file, log)
+    recipe = checked_recipe(release.manifest, benchmark.recipe_file)
+    return execute_replicates(release, recipe, kept, None, benchmark.n_workers, N_REPLICATED[tier], log)
 
 
 def _replicate_made_from(benchmark: Benchmark, tier: str) -> dict[str, str]:

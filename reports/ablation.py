@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from itertools import combinations
 
 import polars as pl
 import pyarrow as pa
@@ -15,7 +14,7 @@ import pyarrow as pa
 from pipelines.frames import frame_of
 from reports import paper
 from reports.command import Asked, report_command
-from reports.entries import Entry, entry_of, flat, prediction_frames
+from reports.entries import Entry, differences, entry_of, flat, prediction_frames
 from reports.figures import dots_figure
 from reports.letters import letter_display
 from reports.load import Task, candidate_frame, group_frame, of_scheme, scheme_note
@@ -64,7 +63,7 @@ def ablation_report(
     is_in_paper = scheme is SplitScheme.SCENE
 
     rows: list[list[str | None]] = []
-    metrics = {name: value for _, differences in compared.values() for name, value in differences.items()}
+    metrics = {name: value for _, own in compared.values() for name, value in own.items()}
     values: dict[str, list[list[float]]] = {}
     for variant, label in VARIANTS.items():
         cells: list[str | None] = [label, ", ".join(map(str, seeds[variant])) or None]
@@ -110,10 +109,8 @@ def _compared(trained: Mapping[str, Mapping[Task, Entry]], measure: tuple[Task, 
     if not bootstrap.is_telling:
         return {}, {}
     means = {variant: entries[task].s_draws(k, bootstrap) for variant, entries in trained.items()}
-    differences: dict[str, float] = {}
-    for low, high in combinations(means, 2):
-        differences |= flat(f"{high}_minus_{low}.{_name(measure)}", (means[high] - means[low]).estimate())
-    return letter_display(sorted(means, key=lambda variant: -means[variant].value), pairs_that_differ(means)), differences
+    letters = letter_display(sorted(means, key=lambda variant: -means[variant].value), pairs_that_differ(means))
+    return letters, differences(means, _name(measure))
 
 
 def _about(tables: Mapping[str, pa.Table], frame: pl.DataFrame, seeds: Mapping[str, list[int]], scheme: SplitScheme) -> str:

@@ -135,10 +135,16 @@ def comparison(entries: Sequence[Entry], seed: int, prefix: str) -> tuple[str, d
     metrics: dict[str, float] = {}
     for name, draws in ranks.items():
         metrics |= flat(f"{prefix}.{name}.{FIRST_RANK}", draws.estimate())
-    for low, high in combinations(s1, 2):
-        metrics |= flat(f"{prefix}.{high}_minus_{low}.s1", (s1[high] - s1[low]).estimate())
-        metrics |= flat(f"{prefix}.{high}_minus_{low}.{FIRST_RANK}", (ranks[high] - ranks[low]).estimate())
+    metrics |= differences(s1, "s1", f"{prefix}.") | differences(ranks, FIRST_RANK, f"{prefix}.")
     return table(["policy", "S1", "S1 differs", "mean rank of the first success [95 %]", "rank differs"], rows, align="lrlrl"), metrics
+
+
+def differences(means: Mapping[str, Draws], measure: str, prefix: str = "") -> dict[str, float]:
+    """Metrics `b_minus_a.measure` of all pairs of policies, each later one minus each earlier one."""
+    metrics: dict[str, float] = {}
+    for a, b in combinations(means, 2):
+        metrics |= flat(f"{prefix}{b}_minus_{a}.{measure}", (means[b] - means[a]).estimate())
+    return metrics
 
 
 def hard_groups(entries: Sequence[Entry]) -> dict[str, Estimate | None]:

@@ -21,7 +21,7 @@ MIN_SCENES = 10  # below this a percentile bootstrap is far too narrow, and any 
 
 HARD = (1, 2)  # successes of a group that a lucky order hardly finds
 
-_Z95 = float(stats.norm.ppf(0.975))
+Z95 = float(stats.norm.ppf(0.975))
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,22 +136,28 @@ def proportion(
     value = float(n_hits.sum() / n_units.sum())
     n_effective = _effective_units(n_hits, n_units)
     if len(rows) > 1 and 0.0 < value < 1.0:
-        spread = float(rows.mean(axis=1).var(ddof=1)) / len(rows) * of_few(len(rows)) ** 2
-        n_effective = 1.0 / (1.0 / n_effective + spread / (value * (1.0 - value)))
+        variance = float(error_of_mean(rows.mean(axis=1))) ** 2
+        n_effective = 1.0 / (1.0 / n_effective + variance / (value * (1.0 - value)))
     low, high = wilson(value, n_effective)
     return Estimate(value, low, high, rows.shape[1], len(n_units))
 
 
 def of_few(n: int) -> float:
     """t / z: how much wider a 95 % interval is whose standard error was estimated from n at least 2 values."""
-    return float(stats.t.ppf(0.975, n - 1)) / _Z95
+    return float(stats.t.ppf(0.975, n - 1)) / Z95
+
+
+def error_of_mean(values: Float[np.ndarray, "*n r"]) -> Float[np.ndarray, "*n"]:
+    """Standard error of the mean over the last axis, `of_few` times as large; 0 of a single value, of which nobody knows."""
+    r = values.shape[-1]
+    return np.asarray(values.std(axis=-1, ddof=1) / np.sqrt(r) * of_few(r)) if r > 1 else np.zeros(values.shape[:-1])
 
 
 def wilson(value: float, n: float) -> tuple[float, float]:
     """Score interval of Wilson of a proportion of n trials (J. Am. Stat. Assoc. 22, 1927); n may be an effective number."""
-    z2 = _Z95 * _Z95
+    z2 = Z95 * Z95
     centre = (value + z2 / (2 * n)) / (1 + z2 / n)
-    half = _Z95 / (1 + z2 / n) * math.sqrt(value * (1 - value) / n + z2 / (4 * n * n))
+    half = Z95 / (1 + z2 / n) * math.sqrt(value * (1 - value) / n + z2 / (4 * n * n))
     return max(0.0, centre - half), min(1.0, centre + half)
 
 
@@ -179,7 +185,7 @@ def auroc_interval(area: float, n_true: float, n_false: float) -> tuple[float, f
     more = (n_true + n_false) / 2 - 1
 
     def error(a: float) -> float:
-        return _Z95 * math.sqrt(a * (1 - a) * (1 + more * (1 - a) / (2 - a) + more * a / (1 + a)) / (n_true * n_false))
+        return Z95 * math.sqrt(a * (1 - a) * (1 + more * (1 - a) / (2 - a) + more * a / (1 + a)) / (n_true * n_false))
 
     tiny = 1e-9
     low = optimize.brentq(lambda a: area - a - error(a), 0.0, area * (1 - tiny)) if area > tiny else 0.0

@@ -14,9 +14,8 @@ from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import stats
 
-from reports.metrics import MIN_SCENES, N_DRAWS, Estimate, auroc_interval, of_few
+from reports.metrics import MIN_SCENES, N_DRAWS, Z95, Estimate, auroc_interval, error_of_mean
 from tables.identity import rng_for
 
 LEVEL = 0.95
@@ -121,10 +120,8 @@ class SceneBootstrap:
         n, r = by_training.shape
         if r == 1:
             return by_training[:, 0]
-        error = by_training.std(axis=1, ddof=1) / np.sqrt(r) * of_few(r)
-        return np.asarray(
-            by_training.mean(axis=1) + error * rng_for(self._seed, "bootstrap-trainings", name, r).standard_normal(N_DRAWS)[:n]
-        )
+        drawn = rng_for(self._seed, "bootstrap-trainings", name, r).standard_normal(N_DRAWS)[:n]
+        return np.asarray(by_training.mean(axis=1) + error_of_mean(by_training) * drawn)
 
 
 def paired_difference(
@@ -197,7 +194,7 @@ def auroc_estimate(
     values = np.array([own.value for own in areas])
     value = float(values.mean())
     low, high = auroc_interval(value, n_true, n_false)
-    error = float(values.std(ddof=1)) / np.sqrt(len(values)) * float(stats.t.ppf(0.975, len(values) - 1)) if len(values) > 1 else 0.0
+    error = Z95 * float(error_of_mean(values))
     low, high = max(0.0, value - np.hypot(value - low, error)), min(1.0, value + np.hypot(high - value, error))
     return Estimate(value, float(low), float(high), len(labels), bootstrap.n_scenes)
 

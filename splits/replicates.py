@@ -58,10 +58,11 @@ def make_replicates(
         log: told how far it is.
 
     Raises:
-        ReleaseError, ReplicateError: as `execute_replicates`.
+        ReleaseError: a release of another recipe or other code.
+        ReplicateError: as of `execute_replicates`.
         LockError: somebody else makes this table.
     """
-    tier, recipe = release.manifest.tier, recipe_of(release.manifest, recipe_path, [STAGE["execution_labels"]])
+    tier, recipe = release.manifest.tier, checked_recipe(release.manifest, recipe_path)
     made_from = replicates_made_from(release.manifest, recipe, n_replicates)
     scenes = _planned_scenes(release, recipe.seed)
     chosen = scenes[: n_scenes or None]
@@ -72,7 +73,7 @@ def make_replicates(
         if found is not None and not missing:
             log(f"{TABLE}: there already, {found.rows:,} rows of {len(there)} scenes")
             return found
-        made = execute_replicates(release, kept_beside(path), missing, n_workers, n_replicates, recipe_path, log)
+        made = execute_replicates(release, recipe, kept_beside(path), missing, n_workers, n_replicates, log)
         table = join_tables(TEST_REPLICATES, [made] if before is None else [before, made])
         n = len(there.union(chosen))
         sidecar = write_table(TEST_REPLICATES, table, path, made_from | _of_scenes(n, len(scenes)), of=tier)
@@ -103,25 +104,26 @@ def _published(path: Path, made_from: Mapping[str, str], tier: str) -> tuple[Sid
 
 def execute_replicates(
     release: Release,
+    recipe: Recipe,
     kept: Path,
     scene_ids: Collection[str] | None = None,
     n_workers: int = 1,
     n_replicates: int = N_REPLICATES,
-    recipe_path: Path = DEFAULT_RECIPE,
     log: Callable[[str], Any] = print,
 ) -> pa.Table:
     """Rows of table `test_replicates` of a release.
 
     Args:
+        recipe: of the release, as `checked_recipe` gives it.
         kept: file of the finished scenes; whoever has published the table removes it.
         scene_ids: of scenes of the test split; all of them without.
-        n_workers, n_replicates, recipe_path, log: as of `make_replicates`.
+        n_workers, n_replicates, log: as of `make_replicates`.
 
     Raises:
-        ReleaseError: a release of another recipe or other code, or without plans.
+        ReleaseError: a release without plans.
         ReplicateError: a scene that could not be executed; the others are kept for the next run.
     """
-    recipe, planned = recipe_of(release.manifest, recipe_path, [STAGE["execution_labels"]]), _planned(release)
+    planned = _planned(release)
     chosen = planned if scene_ids is None else planned.filter(pl.col("scene_id").is_in(scene_ids))
     start_s = time.perf_counter()
 
@@ -130,6 +132,11 @@ def execute_replicates(
 
     works = works_of(release.values, chosen["candidate_id"].to_list(), recipe, n_replicates)
     return replicate_table(works, kept, replicates_made_from(release.manifest, recipe, n_replicates), n_workers, tell)
+
+
+def checked_recipe(manifest: Manifest, recipe_path: Path) -> Recipe:
+    """The recipe that a release was made with; raises ReleaseError where file or code are not those that made its executions."""
+    return recipe_of(manifest, recipe_path, [STAGE["execution_labels"]])
 
 
 def kept_beside(path: Path) -> Path:
