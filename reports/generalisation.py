@@ -12,6 +12,7 @@ import polars as pl
 import pyarrow as pa
 
 from pipelines.frames import frame_of
+from reports.by_object import ABOUT_OBJECTS, by_object
 from reports.entries import Entry, entry_of, flat, learned_entries
 from reports.load import Task, candidate_frame, group_frame
 from reports.metrics import MIN_SCENES, Estimate
@@ -78,10 +79,11 @@ def generalisation_report(tables: Mapping[str, pa.Table], predictions: Mapping[S
     if SplitScheme.SCENE not in predictions:
         raise ReportError("predictions: none of rankers of the paper's split, must be there to compare with")
     trained = {scheme: _trained(tables, scheme, predictions[scheme], seed) for scheme in SplitScheme if scheme in predictions}
+    objects = dict(frame_of(tables["scenes"], ["scene_id", "object_id"]).iter_rows())
     blocks = [f"# What rankers were not trained on, tier {tier}", _ABOUT, "## Trainings", *_trainings(trained)]
     metrics = {f"train.{scheme.value}.n_scenes": float(own.n_train_scenes) for scheme, own in trained.items()}
     for task in Task:
-        section, values = _of_task(trained, task, seed)
+        section, values = _of_task(trained, task, objects, seed)
         blocks += [f"## {TASK_TITLE[task]}", *section]
         metrics |= values
     return Report("generalisation", "\n\n".join(blocks) + "\n", metrics=metrics)
@@ -121,7 +123,9 @@ def _trained(tables: Mapping[str, pa.Table], scheme: SplitScheme, predictions: p
     return Trained(scheme, frame, frame_of(predictions).with_columns(pl.col("variant").cast(pl.String)), n_train)
 
 
-def _of_task(trained: Mapping[SplitScheme, Trained], task: Task, seed: int) -> tuple[list[str], dict[str, float]]:
+def _of_task(
+    trained: Mapping[SplitScheme, Trained], task: Task, objects: Mapping[str, str], seed: int
+) -> tuple[list[str], dict[str, float]]:
     levels: list[list[object]] = []
     drops: list[list[object]] = []
     gains: list[list[object]] = []
@@ -141,14 +145,20 @@ def _of_task(trained: Mapping[SplitScheme, Trained], task: Task, seed: int) -> t
     of_levels = ["split", "unseen", "scenes", "covered groups", *(policy.label for policy in (*_LEVELS, *_JUDGED))]
     of_drops = ["split", "policy", "scenes", "covered groups", "trained on others like them", "not trained on any", "difference"]
     of_gains = ["split", "policy", "not trained on any", "full-pool planner", "difference", "difference, whole test split"]
-    return [
+    sections = [
         "S1 on the test split of each scheme, by rankers of its train split:",
         table(of_levels, levels, align="llrrrrrr"),
         "On scenes that no ranker was trained on, those of both test splits:",
         table(of_drops, drops, align="llrrrrr"),
         "The same rankers beside the full-pool planner, on the same groups, and on all of their own test split:",
         table(of_gains, gains, align="llrrrr"),
-    ], metrics
+    ]
+    if SplitScheme.OBJECT in trained:
+        unseen = trained[SplitScheme.OBJECT]
+        of_objects, values = by_object({FULL_PLANNER: unseen.levels(task)[FULL_PLANNER], **unseen.learned(task)}, objects)
+        sections += [ABOUT_OBJECTS, of_objects]
+        metrics |= {f"test.{task.value}.{name}": value for name, value in values.items()}
+    return sections, metrics
 
 
 def _n_covered(entries: Mapping[Policy, Entry]) -> str:
