@@ -46,7 +46,7 @@ from reports.ranking import MACHINE, ranker_timing_rows
 from tables.schemas import PREDICTIONS, TIMINGS
 from tables.store import StoreError, file_sha256, join_tables, table_from_rows
 
-MODEL_CODE_VERSION = "1"
+MODEL_CODE_VERSION = "2"
 # Changes whenever what the same weights say may be stored otherwise.
 SCORING_CODE_VERSION = "2"
 _TIMED = {policy.variant for policy in LEARNED if policy.group_stage}

@@ -43,15 +43,13 @@ Axes = list[Float[np.ndarray, "c n"]]  # x, y and z of n points in c frames: num
 
 @dataclass(frozen=True, slots=True)
 class HandView:
-    """What is seen of the candidates of one scene; rows of object points are grasps, which many candidates share.
+    """What is seen of the candidates of one scene.
 
     A near point is its place in the TCP frame at the place, and its signed distances from the hand in NEAR_PHASES. Where a scene has
     fewer points of a type than asked for, the rest repeat the last one; where it has none, they are of type -1.
     """
 
     features: Float32[np.ndarray, "c f"]
-    object_points_m: Float32[np.ndarray, "k n 3"]
-    grasp: Int[np.ndarray, "c"]
     near_m: Float32[np.ndarray, "c m 7"]
     near_types: Int[np.ndarray, "c m"]
 
@@ -85,8 +83,6 @@ def hand_view(
     near_m, near_types = _nearest(points, hands, gaps, jaw_m[grasp], settings)
     return HandView(
         features=np.column_stack([columns[feature.name] for feature in FEATURES]).astype(np.float32),
-        object_points_m=np.stack(_into(T_base_grasp[first], points.few_object_m), axis=-1).astype(np.float32),
-        grasp=grasp,
         near_m=near_m,
         near_types=near_types,
     )
@@ -101,8 +97,6 @@ def pose_view(
     n = len(T_base_grasp)
     return HandView(
         features=np.column_stack([columns[feature.name] for feature in POSE_FEATURES]).astype(np.float32),
-        object_points_m=np.zeros((1, 0, 3), dtype=np.float32),
-        grasp=np.zeros(n, dtype=np.int64),
         near_m=np.zeros((n, 0, N_NEAR_VALUES), dtype=np.float32),
         near_types=np.zeros((n, 0), dtype=np.int8),
     )

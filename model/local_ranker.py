@@ -1,4 +1,8 @@
-"""Our rankers: what the hand of each candidate meets, through a small PointNet, and its derived geometry, into the paper's two heads."""
+"""Our rankers: what the hand of each candidate meets, through a small PointNet, and its derived geometry, into the paper's two heads.
+
+Of the object in the hand the geometry tells extents, mean and levers. Its points told no more of known objects, and let the network know
+them by heart (RANKERS.md).
+"""
 
 from __future__ import annotations
 
@@ -24,7 +28,6 @@ from tables.identity import rng_for
 
 SCALES_M = (0.1, 0.02)  # of a hand, and of a clearance
 NARROWEST = 1e-4
-_N_OBJECT_VALUES = 3 + 2 + 3
 _NUMBER = {feature.name: k for k, feature in enumerate(FEATURES)}
 
 
@@ -44,9 +47,8 @@ class LocalRanker(nn.Module):
         self.encoding = FeatureEncoding(len(self.read), settings.n_bins)
         n_features = self.encoding.n_values
         if self.has_points:
-            self.object = PointNet(_N_OBJECT_VALUES, settings.point_widths)
             self.near = PointNet(3 + 2 * len(NEAR_PHASES) + 3 + 2, settings.point_widths)
-            n_features += 3 * settings.point_widths[-1]
+            n_features += settings.point_widths[-1]
         self.first = PointwiseLayers((n_features, settings.widths[0]))
         self.members = Members(settings.widths, settings.head_width, settings.n_members)
         self.attention = GroupAttention(settings.widths[0], settings.n_attention_heads) if settings.n_attention_heads else None
@@ -73,24 +75,12 @@ class LocalRanker(nn.Module):
     def _logits(self, x: LocalInput) -> tuple[Float[torch.Tensor, "m c"], Float[torch.Tensor, "m c"]]:
         seen = [self.encoding(x.features[:, self.read])]
         if self.has_points:
-            up = {phase: _up_in_hand(x.features, name) for phase, name in (("pick", "grasp"), ("place", "composed"))}
-            seen += [*self._object(x, up), self.near(_near_values(x, up["place"])).amax(-2)]
+            seen.append(self.near(_near_values(x)).amax(-2))
         fused = functional.dropout(self.first(torch.cat(seen, -1)), self.settings.dropout, self.training)
         if self.attention is not None:
             fused = self.attention(fused, x.group)
         plan, execution = self.members(fused, self.settings.dropout)
         return plan, execution
-
-    def _object(self, x: LocalInput, up: dict[str, Float[torch.Tensor, "c 3"]]) -> list[Float[torch.Tensor, "c w"]]:
-        """Points of the object in the hand, each with its height at pick and place, as their largest and their mean feature."""
-        points_m = x.object_points_m.index_select(0, x.grasp)
-        heights_m = []
-        for phase, name in (("pick", "grasp"), ("place", "composed")):
-            above_tcp_m = (points_m * up[phase][:, None]).sum(-1)
-            heights_m.append(above_tcp_m + x.features[:, None, _NUMBER[f"{name}_z_m"]])
-        gravity = up["place"][:, None].expand(-1, points_m.shape[1], -1)
-        features = self.object(torch.cat([points_m / 0.05, torch.stack(heights_m, -1) / 0.1, gravity], -1))
-        return [features.amax(-2), features.mean(-2)]
 
 
 class FeatureEncoding(nn.Module):
@@ -188,14 +178,14 @@ class GroupAttention(nn.Module):
         return x + added
 
 
-def _up_in_hand(features: Float[torch.Tensor, "c f"], pose: str) -> Float[torch.Tensor, "c 3"]:
-    """The upward direction in the TCP frame of a pose among the features: the third row of its rotation."""
-    row = [features[:, [_NUMBER[f"{pose}_{of}{axis}"] for axis in "xyz"]] for of in "yz"]
+def _up_in_hand(features: Float[torch.Tensor, "c f"]) -> Float[torch.Tensor, "c 3"]:
+    """The upward direction in the TCP frame at the place: the third row of its rotation, which is among the features."""
+    row = [features[:, [_NUMBER[f"composed_{of}{axis}"] for axis in "xyz"]] for of in "yz"]
     across_z = row[0][:, 0] * row[1][:, 1] - row[0][:, 1] * row[1][:, 0]
     return torch.stack([across_z, row[0][:, 2], row[1][:, 2]], -1)
 
 
-def _near_values(x: LocalInput, up: Float[torch.Tensor, "c 3"]) -> Float[torch.Tensor, "c m v"]:
+def _near_values(x: LocalInput) -> Float[torch.Tensor, "c m v"]:
     """Where a near point is, how far from the hand on two scales, which way is up, and what it is; zero where there is none."""
     n = x.near_m.shape[1]
     gaps_m = x.near_m[..., 3:]
@@ -204,7 +194,7 @@ def _near_values(x: LocalInput, up: Float[torch.Tensor, "c 3"]) -> Float[torch.T
         x.near_m[..., :3] / SCALES_M[0],
         torch.tanh(gaps_m / SCALES_M[0]),
         torch.tanh(gaps_m / SCALES_M[1]),
-        up[:, None].expand(-1, n, -1),
+        _up_in_hand(x.features)[:, None].expand(-1, n, -1),
         kinds,
     ]
     return torch.cat(values, -1) * (x.near_types >= 0)[..., None]

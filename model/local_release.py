@@ -20,8 +20,6 @@ class LocalInput:
     """What is seen of the candidates of some groups; without points on poses alone."""
 
     features: Float[torch.Tensor, "c f"]
-    object_points_m: Float[torch.Tensor, "k n 3"]
-    grasp: Int[torch.Tensor, "c"]
     near_m: Float[torch.Tensor, "c m 7"]
     near_types: Int[torch.Tensor, "c m"]
     group: Int[torch.Tensor, "c"]
@@ -32,19 +30,14 @@ class LocalRelease(Grouping):
     """Views of all candidates as tensors on the CPU; points in half precision, which tells 0.06 mm apart where a hand is."""
 
     features: Float[torch.Tensor, "c f"]
-    object_points_m: Float[torch.Tensor, "k n 3"]
-    grasp: Int[torch.Tensor, "c"]
     near_m: Float[torch.Tensor, "c m 7"]
     near_types: Int[torch.Tensor, "c m"]
 
     def network_input(self, groups: Int[np.ndarray, "g"], device: torch.device) -> LocalInput:
         rows = torch.from_numpy(self.candidates_of(groups))
         sizes = self.group_start[groups + 1] - self.group_start[groups]
-        grasps, grasp = torch.unique(self.grasp[rows], return_inverse=True)
         return LocalInput(
             features=self.features[rows].to(device),
-            object_points_m=self.object_points_m[grasps].to(device).float(),
-            grasp=grasp.to(device),
             near_m=self.near_m[rows].to(device).float(),
             near_types=self.near_types[rows].to(device).long(),
             group=torch.from_numpy(np.repeat(np.arange(len(groups)), sizes)).to(device),
@@ -59,13 +52,10 @@ def encode_local(inputs: ReleaseInputs, settings: LocalSettings, variant: Varian
     for cloud, first, end in zip(inputs.clouds, start[:-1], start[1:], strict=True):
         poses = inputs.T_base_grasp[first:end], T_base_target[first:end]
         views.append(pose_view(cloud.T_base_object, *poses) if variant is Variant.POSE_ONLY else hand_view(cloud, *poses, settings))
-    n_grasps = np.cumsum([0, *(len(view.object_points_m) for view in views)])
     return LocalRelease(
         group_scene=inputs.group_scene,
         group_start=group_starts(inputs.candidate_group, len(inputs.group_scene)),
         features=torch.from_numpy(np.concatenate([view.features for view in views])),
-        object_points_m=torch.from_numpy(np.concatenate([view.object_points_m.astype(np.float16) for view in views])),
-        grasp=torch.from_numpy(np.concatenate([view.grasp + first for view, first in zip(views, n_grasps[:-1], strict=True)])),
         near_m=torch.from_numpy(np.concatenate([view.near_m.astype(np.float16) for view in views])),
         near_types=torch.from_numpy(np.concatenate([view.near_types for view in views])),
     )

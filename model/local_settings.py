@@ -15,7 +15,7 @@ class LocalSettings(TrainingSettings):
     """Points that are looked at and sizes of the layers. The defaults are the `full` setting."""
 
     # What is left of the cloud of a scene, well spread (clouds.farthest_points); the nearest of it are chosen for each candidate.
-    n_object_points: int = 48
+    n_object_points: int = 48  # only for the gap between obstacles and object at the target
     n_obstacle_points: int = 128  # a box of 10 cm has one every 2 cm
     n_environment_points: int = 48  # the table is flat
     n_near_obstacle: int = 24

@@ -55,9 +55,7 @@ def test_a_group_scored_alone_has_the_scores_it_has_among_others(
 def test_the_order_of_points_does_not_matter_to_the_network(inputs: ReleaseInputs, tiny_local: LocalSettings) -> None:
     ranker = LocalRanker(tiny_local, Variant.LOCAL, seed=0).eval()
     x = encode_local(inputs, tiny_local, Variant.LOCAL).network_input(np.arange(6), _CPU)
-    shuffled = replace(
-        x, object_points_m=x.object_points_m.flip(1), near_m=x.near_m.roll(2, dims=1), near_types=x.near_types.roll(2, dims=1)
-    )
+    shuffled = replace(x, near_m=x.near_m.roll(2, dims=1), near_types=x.near_types.roll(2, dims=1))
     torch.testing.assert_close(ranker(shuffled).score, ranker(x).score, **_FLOAT32)
 
 
