@@ -1,7 +1,8 @@
-"""Settings of all tests: how long an example takes is no law of anything, machines are shared, and no test has a network."""
+"""Settings of all tests: how long an example takes is no law of anything, machines are shared, no test has a network, and Ctrl-C works."""
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,10 @@ from hypothesis import settings
 
 settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
+
+# A shell starts what runs in the background with interrupts ignored, which children inherit; tests of interrupts start some.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
