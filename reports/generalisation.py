@@ -56,6 +56,11 @@ class Trained:
     def scene_ids(self) -> set[str]:
         return set(self.test["scene_id"])
 
+    @property
+    def objects(self) -> dict[str, str]:
+        """Object of each of its scenes."""
+        return dict(self.test.select("scene_id", "object_id").unique().iter_rows())
+
     def levels(self, task: Task) -> dict[Policy, Entry]:
         """Policies that learn nothing: how hard the groups are."""
         return {policy: entry_of(policy, task, self.test, timing_frame({})) for policy in _LEVELS}
@@ -79,11 +84,10 @@ def generalisation_report(tables: Mapping[str, pa.Table], predictions: Mapping[S
     if SplitScheme.SCENE not in predictions:
         raise ReportError("predictions: none of rankers of the paper's split, must be there to compare with")
     trained = {scheme: _trained(tables, scheme, predictions[scheme], seed) for scheme in SplitScheme if scheme in predictions}
-    objects = dict(frame_of(tables["scenes"], ["scene_id", "object_id"]).iter_rows())
     blocks = [f"# What rankers were not trained on, tier {tier}", _ABOUT, "## Trainings", *_trainings(trained)]
     metrics = {f"train.{scheme.value}.n_scenes": float(own.n_train_scenes) for scheme, own in trained.items()}
     for task in Task:
-        section, values = _of_task(trained, task, objects, seed)
+        section, values = _of_task(trained, task, seed)
         blocks += [f"## {TASK_TITLE[task]}", *section]
         metrics |= values
     return Report("generalisation", "\n\n".join(blocks) + "\n", metrics=metrics)
@@ -123,12 +127,11 @@ def _trained(tables: Mapping[str, pa.Table], scheme: SplitScheme, predictions: p
     return Trained(scheme, frame, frame_of(predictions).with_columns(pl.col("variant").cast(pl.String)), n_train)
 
 
-def _of_task(
-    trained: Mapping[SplitScheme, Trained], task: Task, objects: Mapping[str, str], seed: int
-) -> tuple[list[str], dict[str, float]]:
+def _of_task(trained: Mapping[SplitScheme, Trained], task: Task, seed: int) -> tuple[list[str], dict[str, float]]:
     levels: list[list[object]] = []
     drops: list[list[object]] = []
     gains: list[list[object]] = []
+    one_by_one: list[str] = []
     metrics: dict[str, float] = {}
     for scheme, own in trained.items():
         entries = own.levels(task) | own.learned(task)
@@ -142,23 +145,24 @@ def _of_task(
                 shown, values = compare(trained[SplitScheme.SCENE], own, task, seed)
                 rows += shown
                 metrics |= values
+        if scheme is SplitScheme.OBJECT:
+            of_objects, values = by_object(
+                {policy: entries[policy] for policy in (FULL_PLANNER, *_JUDGED) if policy in entries}, own.objects
+            )
+            one_by_one = [ABOUT_OBJECTS, of_objects]
+            metrics |= {f"test.{task.value}.{name}": value for name, value in values.items()}
     of_levels = ["split", "unseen", "scenes", "covered groups", *(policy.label for policy in (*_LEVELS, *_JUDGED))]
     of_drops = ["split", "policy", "scenes", "covered groups", "trained on others like them", "not trained on any", "difference"]
     of_gains = ["split", "policy", "not trained on any", "full-pool planner", "difference", "difference, whole test split"]
-    sections = [
+    return [
         "S1 on the test split of each scheme, by rankers of its train split:",
         table(of_levels, levels, align="llrrrrrr"),
         "On scenes that no ranker was trained on, those of both test splits:",
         table(of_drops, drops, align="llrrrrr"),
         "The same rankers beside the full-pool planner, on the same groups, and on all of their own test split:",
         table(of_gains, gains, align="llrrrr"),
-    ]
-    if SplitScheme.OBJECT in trained:
-        unseen = trained[SplitScheme.OBJECT]
-        of_objects, values = by_object({FULL_PLANNER: unseen.levels(task)[FULL_PLANNER], **unseen.learned(task)}, objects)
-        sections += [ABOUT_OBJECTS, of_objects]
-        metrics |= {f"test.{task.value}.{name}": value for name, value in values.items()}
-    return sections, metrics
+        *one_by_one,
+    ], metrics
 
 
 def _n_covered(entries: Mapping[Policy, Entry]) -> str:
